@@ -8,9 +8,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from granflow.engine.backend import start
     from granflow.errors import GranflowError, RunError, SceneError
+    from granflow.load import Scene
     from granflow.load import load as load_scene
+    from granflow.observers.analysis import analyze_snapshots
+    from granflow.observers.flow_meters import steady_flow
+    from granflow.observers.interval import on_interval
+    from granflow.particles.particle_data import ParticleData
+    from granflow.plan.explain import explain
+    from granflow.plan.memory_estimate import estimate_memory
+    from granflow.plan.plan import Plan, plan_for
     from granflow.simulation import Simulation
+    from granflow.snapshot import Snapshot
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -18,14 +28,42 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 
-__all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
+__all__ = [
+    "GranflowError",
+    "ParticleData",
+    "Plan",
+    "RunError",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "Snapshot",
+    "analyze_snapshots",
+    "estimate_memory",
+    "explain",
+    "load_scene",
+    "on_interval",
+    "plan_for",
+    "start",
+    "steady_flow",
+]
 
 _LOCATIONS = {
     "GranflowError": "granflow.errors:GranflowError",
+    "ParticleData": "granflow.particles.particle_data:ParticleData",
+    "Plan": "granflow.plan.plan:Plan",
     "RunError": "granflow.errors:RunError",
+    "Scene": "granflow.load:Scene",
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
+    "Snapshot": "granflow.snapshot:Snapshot",
+    "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
+    "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",
+    "explain": "granflow.plan.explain:explain",
     "load_scene": "granflow.load:load",
+    "on_interval": "granflow.observers.interval:on_interval",
+    "plan_for": "granflow.plan.plan:plan_for",
+    "start": "granflow.engine.backend:start",
+    "steady_flow": "granflow.observers.flow_meters:steady_flow",
     "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""

@@ -1,16 +1,43 @@
 """Scenes from files and from text: read, validated and resolved."""
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from granflow.errors import SceneError
 from granflow.io.regular_files import resolved
 from granflow.particles.resolve import resolve_scene
 from granflow.scene.document import DocumentError
 from granflow.scene.reader import document_in, scene_in
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema import scene as schema
+from granflow.scene.writer import to_yaml
 from granflow.scene.yaml12 import parse
+
+
+class Scene(schema.Scene):
+    """A validated and resolved scene."""
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> "Scene":
+        """The scene of a mapping with the keys of a scene file; paths are relative to `folder`.
+
+        Values are numbers, text with units, lists, numpy arrays and mappings. Raises SceneError.
+        """
+        plain = json.loads(json.dumps(data, default=np.ndarray.tolist))
+        return cls._resolved(scene_in(parse(to_yaml(plain), "scene"), folder=Path(folder or "")), read=True)
+
+    @classmethod
+    def _resolved(cls, written: schema.Scene, read: bool) -> "Scene":
+        """The resolved form of a scene; `read`: read particle files again. Raises SceneError."""
+        source = resolve_scene(written, read)
+        scene = cls.model_construct(source.model_fields_set, **dict(source))
+        for name in source.__private_attributes__:
+            setattr(scene, name, getattr(source, name))
+        return scene
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
@@ -23,10 +50,10 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """
     scene = scene_in(document_in(Path(path)), overrides, Path(path).parent)
     scene._path = Path(path)
-    scene = resolve_scene(scene, read=True)
+    resolved_scene = Scene._resolved(scene, read=True)
     if scene.start_from is not None:
-        scene = scene.model_copy(update={"start_from": str(_earlier(path, scene))})
-    return scene
+        return resolved_scene.model_copy(update={"start_from": str(_earlier(path, resolved_scene))})
+    return resolved_scene
 
 
 def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
@@ -47,6 +74,6 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
     """
     try:
-        return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
+        return Scene._resolved(scene_in(parse(text, source), overrides, Path(source).parent), read=False)
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None

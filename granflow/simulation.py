@@ -20,11 +20,12 @@ from granflow.io.atomic_files import remove_parts
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import locked
 from granflow.io.log import run_log, write_scene_as_run
+from granflow.load import Scene
 from granflow.observers.base import Checkpointable, Observer
 from granflow.observers.build import observers_for, progress_for, time_series_for
 from granflow.observers.timeseries import TimeSeries
 from granflow.particles.generate import initial_particles
-from granflow.particles.resolve import resolve_scene
+from granflow.particles.particle_data import ParticleData
 from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
 from granflow.plan.plan import Plan, plan_for
 from granflow.plan.run_time import refuse_run_time
@@ -38,7 +39,6 @@ from granflow.runs.result import Result, write_result
 from granflow.runs.resume import Change, CheckpointWriter, accepted_change, plan_fingerprint
 from granflow.runs.stage_progress import REST_CHECKS, StageProgress
 from granflow.runs.timings import Readings, WallClock, collect_result, log_plan
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.stages import Stage
 from granflow.snapshot import Snapshot
 
@@ -64,6 +64,8 @@ class Simulation:
     resume:         checkpoint from which to continue
     allow_changes:  resume even if the scene has changes that are not permitted
     allow_long:     accept a run with an estimated duration of more than a year
+    particles:      replace the initial particles of the scene
+    plan:           replaces the plan of the scene
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available or the run cannot be
                     resumed
 
@@ -83,16 +85,18 @@ class Simulation:
         resume: Checkpoint | None = None,
         allow_changes: bool = False,
         allow_long: bool = False,
+        particles: ParticleData | None = None,
+        plan: Plan | None = None,
     ) -> None:
         if precision is not None:
             scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
-        self.scene = scene = resolve_scene(scene)
+        self.scene = scene = Scene._resolved(scene, read=False)
         self.out = None if out is None else Path(out)
         self._wall_clock = WallClock()
         backend = start(arch, scene.run.precision, threads)
         if self.out is not None and resume is None:
             refuse_inputs_inside(scene, self.out, only_results=True)
-        self.plan: Plan = plan_for(scene, on_gpu=not backend.on_cpu)
+        self.plan: Plan = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         refuse_too_many(self.plan)
         refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
@@ -100,7 +104,8 @@ class Simulation:
         change = accepted_change(resume, self.plan, allow_changes) if resume is not None else None
         earlier = particles_from_run(scene) if resume is None else resume.saved["earlier"]
         self._earlier = list(earlier)
-        particles = initial_particles(scene, earlier) if resume is None else None
+        if particles is None and resume is None:
+            particles = initial_particles(scene, earlier)
         self._insertion = ParticleInsertion(scene, earlier)
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
@@ -128,6 +133,31 @@ class Simulation:
     def time(self) -> float:
         """Simulated time [s]."""
         return self.engine.time
+
+    @property
+    def time_step(self) -> float:
+        """Present time step [s]."""
+        return self.engine.time_step
+
+    def step(self, count: int = 1) -> None:
+        """Take `count` steps without observers, events and output; the first call computes the initial forces.
+
+        Raises RunError on an abort.
+        """
+        if not self._stage_progress.stage_times:
+            stage = self.scene.schedule[0]
+            self._begin_stage(stage, (stage.duration or stage.max_duration or inf) / REST_CHECKS)
+        self.engine.advance(count)
+        if self.engine.diagnosis is not None:
+            self._abort(self.engine.diagnosis)
+
+    def restart(self, particles: ParticleData, time_step: float | None = None) -> None:
+        """Replace all particles, with initial forces and without contact history; no kernel is compiled.
+
+        particles:  at the present time
+        time_step:  of all further steps [s]; default: the present one
+        """
+        self.engine.restart(particles, time_step)
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
         """Return the current state as read-only arrays, particles ordered by id.

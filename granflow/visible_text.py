@@ -45,3 +45,15 @@ class VisibleFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         """Return the text of the record."""
         return visible(super().format(record))
+
+
+def readable(number: float) -> str:
+    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
+
+    Large: from 1e4 to 1e12, rounded to four significant digits.
+    """
+    if float(number).is_integer() and abs(number) < 1e15:
+        return f"{int(number):,}".replace(",", " ")
+    if 1e4 <= abs(number) < 1e12:
+        return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
+    return f"{number:.4g}"

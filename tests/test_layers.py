@@ -36,6 +36,17 @@ TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),
     *("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md"),
 }
+STUDIES_IMPORT = {
+    "granflow",
+    "granflow.contact.material",
+    "granflow.contact.registry",
+    "granflow.contact.theory",
+    "granflow.errors",
+    "granflow.fields",
+    "granflow.scene.suggest",
+    "granflow.visible_text",
+}
+"""Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.schema`."""
 LONGEST_FUNCTION = 60
 LONG_FUNCTION, SHARE_OF_LONG_FUNCTIONS = 30, 0.1
 FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
@@ -109,9 +120,21 @@ def test_modules_import_only_from_lower_layers():
         for target in imports(name)
         if layer(name) and target.startswith("granflow")
         if layer(target) is None or LAYERS.index(layer(target)) > LAYERS.index(layer(name))
-        if not (target == "granflow" and layer(name) in {"cli", "__main__"})
+        if not (target == "granflow" and layer(name) in {"studies", "cli", "__main__"})
     ]
     assert not upward
+
+
+def test_studies_import_only_the_public_interface():
+    packages = ("granflow.studies", "granflow.io.", "granflow.scene.schema.")
+    internal = [
+        f"{name} imports {target}"
+        for name in modules()
+        for target in imports(name)
+        if layer(name) == "studies" and target.startswith("granflow")
+        if target not in STUDIES_IMPORT and not target.startswith(packages)
+    ]
+    assert not internal
 
 
 def test_imports_have_no_cycles():

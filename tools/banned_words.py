@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 WORDS = Path(__file__).with_suffix(".tsv")
 FOLDERS = ("granflow", "tests", "tools", "docs", "scenes")
-SUFFIXES = (".py", ".md", ".yaml", ".yml", ".toml")
+SUFFIXES = (".py", ".md", ".html", ".yaml", ".yml", ".toml")
 ANY = "*"
 ALLOWED = {
     "CHANGELOG.md": (ANY,),  # names renamed keys

@@ -13,9 +13,9 @@ from math import ceil, inf, log2
 
 import numpy as np
 
+from granflow import Scene
 from granflow.engine.checkpoint import EngineCheckpoint
 from granflow.plan import size_classes
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 
 SMALLEST = 1e-3

@@ -8,8 +8,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import simulated_time
-from granflow.cli.messages import say, show_table, write_study
+from granflow.cli.arguments import add_out, add_overrides, add_verb, simulated_time
+from granflow.cli.messages import say, say_progress, show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -39,7 +39,7 @@ def _binary_collisions(options: argparse.Namespace) -> int:
     from granflow.studies.accuracy.recommend import default_sentence, table_heads, table_rows
     from granflow.studies.accuracy.report import measure_two_bodies, write_two_bodies
 
-    study = measure_two_bodies(options.target, options.full, _report_progress)
+    study = measure_two_bodies(options.target, options.full, say_progress)
     show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
     say(default_sentence(study.lines, options.target))
     write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
@@ -63,7 +63,7 @@ def _scene(options: argparse.Namespace) -> int:
     reductions = [] if options.all_particles else reduced_counts(task.scene())
     if reductions:
         say(f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene.")
-    study = measure_scene(task.with_overrides(*reductions), options.target, options.full, _report_progress)
+    study = measure_scene(task.with_overrides(*reductions), options.target, options.full, say_progress)
     show_table(study.title, scene_heads(study), scene_rows(study))
     say(noise_sentence(study))
     write_study(options.out or Path("out") / f"accuracy_{options.scene.stem}", write_scene, study)
@@ -71,33 +71,16 @@ def _scene(options: argparse.Namespace) -> int:
     return 0
 
 
-def _report_progress(message: str) -> None:
-    """Print a progress message at once, also if stdout is a file."""
-    say(f"{message} ...", flush=True)
-
-
 def add_accuracy(verbs: Any) -> None:
     """Add `granflow accuracy` and its arguments."""
-    summary = "measure error against run time for every contact model, precision and time step"
-    parser = verbs.add_parser("accuracy", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument(
-        "scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)"
+    parser = add_verb(
+        verbs, accuracy, "measure error against run time for every contact model, precision and time step"
     )
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="output directory (default: out/accuracy or out/accuracy_SCENE)"
-    )
-    parser.add_argument(
-        "--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)"
-    )
-    parser.add_argument(
-        "--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference"
-    )
-    parser.add_argument(
-        "--all-particles", action="store_true", help="run the scene with all its particles, which may take hours"
-    )
-    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
-    parser.add_argument(
-        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
-        help="override a value of the scene; repeatable",
-    )  # fmt: skip
-    parser.set_defaults(verb=accuracy)
+    add = parser.add_argument
+    add("scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)")
+    add_out(parser, "out/accuracy or out/accuracy_SCENE")
+    add("--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)")
+    add("--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference")
+    add("--all-particles", action="store_true", help="run the scene with all its particles, which may take hours")
+    add("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
+    add_overrides(parser, "override a value of the scene")

@@ -8,6 +8,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from granflow.cli.arguments import add_out, add_overrides, add_verb
 from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
@@ -44,11 +45,7 @@ def analyze(options: argparse.Namespace) -> int:
 def add_analyze(verbs: Any) -> None:
     """Add `granflow analyze` and its arguments."""
     summary = "compute metrics (mixing, angle of repose, coordination, fabric) or fields of a completed run"
-    parser = verbs.add_parser("analyze", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser = add_verb(verbs, analyze, summary)
     parser.add_argument("directory", metavar="OUT", type=Path, help="directory of the run")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: OUT/analysis)")
-    parser.add_argument(
-        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
-        help="metric or field to compute, such as 'output.metrics.heap={kind: repose, surface: cone}'; repeatable",
-    )  # fmt: skip
-    parser.set_defaults(verb=analyze)
+    add_out(parser, "OUT/analysis")
+    add_overrides(parser, "metric or field to compute, such as 'output.metrics.heap={kind: repose, surface: cone}'")

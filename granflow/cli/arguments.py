@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
 """Values of --arch; gpu selects the first available GPU backend."""
@@ -16,24 +16,36 @@ PRECISIONS = ("f64", "f32", "mixed")
 """Values of --precision: f64, f32, or mixed (positions in f64, all else in f32)."""
 
 
-def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
-    """Add a verb that reads a scene, with the arguments SCENE and --set; return its parser.
+def add_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
+    """Add a verb and return its parser.
 
     `verbs`: subparsers of argparse; `verb`: function (options) -> exit code, which names the verb; `summary`: help text
     in lowercase without a period.
     """
     parser = verbs.add_parser(verb.__name__, help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        metavar="KEY.PATH=VALUE",
-        action="append",
-        default=[],
-        help="override a value of the scene, such as --set particles.beads.count=500; repeatable",
-    )
     parser.set_defaults(verb=verb)
     return parser
+
+
+def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argparse.ArgumentParser:
+    """Add a verb that reads a scene, with the arguments SCENE and --set; return its parser."""
+    parser = add_verb(verbs, verb, summary)
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+    add_overrides(parser, "override a value of the scene, such as --set particles.beads.count=500")
+    return parser
+
+
+def add_overrides(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add --set, which can be repeated; `text`: its effect."""
+    parser.add_argument(
+        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[], help=f"{text}; repeatable"
+    )
+
+
+def add_out(parser: argparse.ArgumentParser, default: str, content: str = "") -> None:
+    """Add --out, a directory; `default`: text on the default; `content`: what the directory contains."""
+    text = f"output directory{content and f' for {content}'} (default: {default})"
+    parser.add_argument("--out", metavar="DIR", type=Path, help=text)
 
 
 def add_machine(parser: argparse.ArgumentParser, default_precision: str = "the precision of the scene") -> None:

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import quantity
+from granflow.cli.arguments import add_verb, quantity
 from granflow.cli.messages import say, show_table
 
 
@@ -35,16 +35,12 @@ def beverloo(options: argparse.Namespace) -> int:
 def add_beverloo(verbs: Any) -> None:
     """Add `granflow beverloo` and its arguments."""
     summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
-    parser = verbs.add_parser("beverloo", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument(
-        "paths", metavar="OUT|FILE.csv", type=Path, nargs="+",
-        help="runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow",
-    )  # fmt: skip
-    parser.add_argument("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
-    parser.add_argument(
-        "--bulk-density", required=True, type=quantity("density"), help="bulk density of the bed, such as '1500 kg/m3'"
-    )
-    parser.add_argument(
-        "--gravity", type=quantity("acceleration"), default=9.81, help="gravitational acceleration (default: 9.81 m/s2)"
-    )
-    parser.set_defaults(verb=beverloo)
+    parser = add_verb(verbs, beverloo, summary)
+    add = parser.add_argument
+    sources = "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow"
+    add("paths", metavar="OUT|FILE.csv", type=Path, nargs="+", help=sources)
+    add("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
+    density = "bulk density of the bed, such as '1500 kg/m3'"
+    add("--bulk-density", required=True, type=quantity("density"), help=density)
+    acceleration = "gravitational acceleration (default: 9.81 m/s2)"
+    add("--gravity", type=quantity("acceleration"), default=9.81, help=acceleration)

@@ -7,8 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity, simulated_time
-from granflow.cli.messages import say, show_table
+from granflow.cli.arguments import add_machine, add_out, add_scene_verb, load, quantity, simulated_time
+from granflow.cli.messages import say, say_progress, show_table
 from granflow.cli.scenes import prepare_output
 
 
@@ -30,7 +30,7 @@ def compare(options: argparse.Namespace) -> int:
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        lambda message: say(f"{message} ...", flush=True),
+        say_progress,
     )  # fmt: skip
     show_table(scene.title, heads(found.runs), as_text(found.rows))
     for note in (stage_note(found), size_note(found), *stop_notes(found)):
@@ -41,26 +41,26 @@ def compare(options: argparse.Namespace) -> int:
     return 0
 
 
+LAWS = (
+    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring stiffness "
+    "computed from the impact velocity of each contact, and from --reference-velocity"
+)
+REFERENCE_VELOCITY = (
+    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second linear run "
+    "(default: a tenth of the largest expected impact velocity)"
+)
+"""Help texts of --laws and --reference-velocity."""
+
+
 def add_compare(verbs: Any) -> None:
     """Add `granflow compare` and its arguments."""
-    parser = add_scene_verb(
-        verbs, compare, "run the same scene with several contact models and compare the results on one page"
-    )
-    parser.add_argument(
-        "--laws",
-        default="zhou,linear,hertz",
-        help="contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring "
-        "stiffness computed from the impact velocity of each contact, and from --reference-velocity",
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE_compare)")
-    parser.add_argument(
-        "--reference-velocity",
-        metavar="V",
-        type=quantity("velocity"),
-        help="impact velocity for which constant parameters are computed, such as the spring stiffness of the second "
-        "linear run (default: a tenth of the largest expected impact velocity)",
-    )
-    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
-    parser.add_argument("--full", action="store_true", help="use all particles (default: at most 4000)")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
+    summary = "run the same scene with several contact models and compare the results on one page"
+    parser = add_scene_verb(verbs, compare, summary)
+    add = parser.add_argument
+    add("--laws", default="zhou,linear,hertz", help=LAWS)
+    add_out(parser, "out/SCENE_compare")
+    add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
+    add("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
+    add("--full", action="store_true", help="use all particles (default: at most 4000)")
+    add("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

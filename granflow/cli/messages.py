@@ -46,6 +46,11 @@ def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool 
     print(visible(sep.join(map(str, parts))), file=file, flush=flush)
 
 
+def say_progress(message: str) -> None:
+    """Print a progress message at once, also if stdout is a file."""
+    say(f"{message} ...", flush=True)
+
+
 def print_refusal(error: GranflowError) -> int:
     """Print an error without a traceback and return its exit code.
 

@@ -4,9 +4,11 @@ The frames of the run are read; nothing is simulated. Requires the extra `plot`.
 """
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from granflow.cli.arguments import add_verb
 from granflow.cli.messages import print_error, say
 from granflow.errors import GranflowError
 
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
 
 FITS = ("all", "particles", "domain")
 """Values of --fit."""
+
+SMALLEST = 200
+"""Smallest width and height of an image [pixels]."""
 
 
 def render(options: argparse.Namespace) -> int:
@@ -28,9 +33,7 @@ def render(options: argparse.Namespace) -> int:
     from granflow.studies.render.render import PictureStyle, write_pictures
 
     frames = frames_of(options.directory)
-    style = PictureStyle(
-        options.color, options.view, options.zoom, options.fit, options.cut, options.chains, options.range, options.size
-    )
+    style = PictureStyle(**{field.name: getattr(options, field.name) for field in fields(PictureStyle)})
     if options.film:
         return film(options, frames, style)
     wanted = selected_frames(frames, options.frame)
@@ -72,10 +75,6 @@ def pixel_size(text: str) -> tuple[int, int]:
     return int(width) // 2 * 2, int(height) // 2 * 2
 
 
-SMALLEST = 200
-"""Smallest width and height of an image [pixels]."""
-
-
 def number_pair(text: str) -> tuple[float, float]:
     """Convert --range, such as 0,1.5, for argparse: two increasing numbers. Raises ArgumentTypeError."""
     try:
@@ -100,56 +99,32 @@ def positive(text: str) -> float:
     return number
 
 
+FRAME = "last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)"
+COLOR = "particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)"
+VIEW = "iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)"
+"""Help texts of --frame, --color and --view."""
+
+
 def add_render(verbs: Any) -> None:
     """Add `granflow render` and its arguments.
 
     Lengths, times and ranges are in SI units or have a unit.
     """
-    summary = "write images (PNG) of frames of a run, or a film of all frames"
-    parser = verbs.add_parser("render", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
-    parser.add_argument(
-        "--frame",
-        default="last",
-        metavar="F",
-        help="last, first, a number, a time such as 0.4s, several of these separated by commas, or all (default: last)",
-    )
-    parser.add_argument("--film", action="store_true", help="write an MP4 of all frames instead")
-    parser.add_argument(
-        "--fps", type=positive, default=25.0, metavar="N", help="frames per second of the film (default: 25)"
-    )
-    parser.add_argument(
-        "--color", default="velocity", metavar="NAME",
-        help="particle array, such as velocity, velocity.z, force, radius, coordination_number (default: velocity)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--range",
-        type=number_pair,
-        metavar="LOW,HIGH",
-        help="limits of the color scale in SI units (default: from the frames)",
-    )
-    parser.add_argument(
-        "--chains", action="store_true", help="draw contacts as tubes whose thickness and color show the normal force"
-    )
-    parser.add_argument(
-        "--view",
-        default="iso",
-        metavar="V",
-        help="iso, front, side, top, or the direction to the viewer, such as --view=1,-2,0.8 (default: iso)",
-    )
-    parser.add_argument("--zoom", type=positive, default=1.0, metavar="X", help="magnification (default: 1)")
-    parser.add_argument(
-        "--fit",
-        choices=FITS,
-        default="all",
-        help="visible part: particles and walls (all), particles, or domain (default: all)",
-    )
-    parser.add_argument("--cut", action="store_true", help="omit the front half")
-    parser.add_argument(
-        "--size",
-        type=pixel_size,
-        metavar="WxH",
-        help="width and height in pixels (default: 1200 high, width from the view)",
-    )
-    parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")
-    parser.set_defaults(verb=render)
+    parser = add_verb(verbs, render, "write images (PNG) of frames of a run, or a film of all frames")
+    add = parser.add_argument
+    add("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
+    add("--frame", default="last", metavar="F", help=FRAME)
+    add("--film", action="store_true", help="write an MP4 of all frames instead")
+    add("--fps", type=positive, default=25.0, metavar="N", help="frames per second of the film (default: 25)")
+    add("--color", default="velocity", metavar="NAME", help=COLOR)
+    limits = "limits of the color scale in SI units (default: from the frames)"
+    add("--range", type=number_pair, metavar="LOW,HIGH", dest="limits", help=limits)
+    add("--chains", action="store_true", help="draw contacts as tubes whose thickness and color show the normal force")
+    add("--view", default="iso", metavar="V", help=VIEW)
+    add("--zoom", type=positive, default=1.0, metavar="X", help="magnification (default: 1)")
+    visible = "visible part: particles and walls (all), particles, or domain (default: all)"
+    add("--fit", choices=FITS, default="all", help=visible)
+    add("--cut", action="store_true", help="omit the front half")
+    size = "width and height in pixels (default: 1200 high, width from the view)"
+    add("--size", type=pixel_size, metavar="WxH", help=size)
+    add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from granflow.cli.arguments import add_verb
 from granflow.cli.messages import say
 
 
@@ -22,8 +23,7 @@ def report(options: argparse.Namespace) -> int:
 def add_report(verbs: Any) -> None:
     """Add `granflow report` and its arguments."""
     summary = "write one self-contained page about a run: interactive plots, flow, energies, plan, timings, images"
-    parser = verbs.add_parser("report", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser = add_verb(verbs, report, summary)
     parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
     parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: DIR/report.html)")
     parser.add_argument("--no-pictures", action="store_true", help="omit images")
-    parser.set_defaults(verb=report)

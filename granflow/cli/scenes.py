@@ -13,7 +13,7 @@ from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
 
 def run(options: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
     )
-    warn([*simulation.plan.warnings, *restitution_warnings(simulation.plan)])
+    warn([*simulation.plan.warnings, *restitution_warnings(simulation.scene, simulation.plan)])
     with locked(out):
         prepare_output(out, scene, options.overwrite)  # another process may have used the directory in the meantime
         return run_to_end(simulation, scene, out, options.until)
@@ -69,7 +69,8 @@ def check(options: argparse.Namespace) -> int:
     their packing is not checked.
     """
     scene = load(options)
-    from granflow.particles.generate import initial_particles, inserters
+    from granflow.particles.generate import initial_particles
+    from granflow.particles.insertion import inserters
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
     from granflow.plan.plan import plan_for
     from granflow.plan.run_time import refuse_run_time

@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from granflow.cli.arguments import add_out, add_verb
 from granflow.cli.messages import say, show_table
 
 
@@ -18,33 +19,24 @@ def stability(options: argparse.Namespace) -> int:
     from granflow.studies.stability.report import HEADS, PAGE, defects, headline, summary_rows
     from granflow.studies.stability.report import stability as study
 
+    out = options.out or Path("out/stability")
     outcomes, missing = study(
-        options.out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
+        out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
     )
     show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
-    say(headline(outcomes))
     defects_found = defects(outcomes)
-    for line in (*defects_found, missing):
-        if line:
-            say(line)
-    say(f"Open {options.out / PAGE} in a browser; each case is a row of stability.csv in the same directory.")
+    for line in filter(None, (headline(outcomes), *defects_found, missing)):
+        say(line)
+    say(f"Open {out / PAGE} in a browser; each case is a row of stability.csv in the same directory.")
     return 1 if defects_found else 0
 
 
 def add_stability(verbs: Any) -> None:
     """Add `granflow stability` and its arguments."""
     summary = "run stiff and extreme cases, assess each, and measure the stability limit of the time step"
-    parser = verbs.add_parser("stability", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser = add_verb(verbs, stability, summary)
+    add_out(parser, "out/stability")
     parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        default=Path("out/stability"),
-        help="output directory (default: out/stability)",
-    )
-    parser.add_argument(
-        "--full",
-        action="store_true",
+        "--full", action="store_true",
         help="run all Young's moduli, particle radii and radius ratios (default: about half of them)",
-    )
-    parser.set_defaults(verb=stability)
+    )  # fmt: skip

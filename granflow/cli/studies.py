@@ -8,8 +8,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, quantity
-from granflow.cli.messages import say, show_comparison, show_table, write_study
+from granflow.cli.arguments import add_machine, add_out, add_scene_verb, add_verb, load, quantity
+from granflow.cli.messages import say, say_progress, show_comparison, show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -62,11 +62,8 @@ def fit(options: argparse.Namespace) -> int:
     data = read_measurements(options.data)
     limit = limit_from_materials(options.material, options.material2) if options.material else options.limit_velocity
     found = fitted(data, limit)
-    show_table(
-        f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}",
-        ("", "value", "error", "unit"),
-        fit_rows(found),
-    )
+    title = f"Zhou (2011), Eq. 12, fitted to {len(data)} rows of {options.data}"
+    show_table(title, ("", "value", "error", "unit"), fit_rows(found))
     say(f"For a pair in a scene:\n  {found.snippet()}")
     write_study(out, write_fit, data, found)
     return 0
@@ -79,7 +76,7 @@ def paper(options: argparse.Namespace) -> int:
     """
     from granflow.studies.paper.report import write_paper
 
-    page = write_paper(options.out, lambda message: say(f"{message} ...", flush=True))
+    page = write_paper(options.out or Path("out/paper"), say_progress)
     say(f"Open {page} in a browser; the same directory contains the figures as PNG and CSV.")
     return 0
 
@@ -89,54 +86,34 @@ def add_collide(verbs: Any) -> None:
 
     Quantities are in SI units or have a unit, such as 25.4mm; --diameter2 and --wall exclude each other.
     """
-    summary = "simulate one head-on collision and compare it with closed-form results"
-    parser = verbs.add_parser("collide", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument("--law", default="zhou", help="normal contact model (default: zhou)")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        metavar="KEY=VALUE",
-        action="append",
-        default=[],
+    parser = add_verb(verbs, collide, "simulate one head-on collision and compare it with closed-form results")
+    add, length, velocity = parser.add_argument, quantity("length"), quantity("velocity")
+    add("--law", default="zhou", help="normal contact model (default: zhou)")
+    add(
+        "--set", dest="settings", metavar="KEY=VALUE", action="append", default=[],
         help="option of the contact model, such as --law thornton --set yield_ratio=2.8; repeatable",
-    )
-    parser.add_argument("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
-    parser.add_argument(
-        "--diameter", required=True, type=quantity("length"), help="diameter of the sphere, such as 25.4mm"
-    )
-    parser.add_argument(
-        "--velocity", required=True, type=quantity("velocity"), help="impact velocity, such as 0.5 (m/s)"
-    )
-    parser.add_argument(
-        "--material2", metavar="PRESET", help="material of the other sphere or of the wall (default: the same)"
-    )
+    )  # fmt: skip
+    add("--material", required=True, metavar="PRESET", help="material, such as stainless_316")
+    add("--diameter", required=True, type=length, help="diameter of the sphere, such as 25.4mm")
+    add("--velocity", required=True, type=velocity, help="impact velocity, such as 0.5 (m/s)")
+    add("--material2", metavar="PRESET", help="material of the other sphere or of the wall (default: the same)")
     partner = parser.add_mutually_exclusive_group()
-    partner.add_argument(
-        "--diameter2", type=quantity("length"), help="diameter of the other sphere (default: the same)"
-    )
+    partner.add_argument("--diameter2", type=length, help="diameter of the other sphere (default: the same)")
     partner.add_argument("--wall", action="store_true", help="collide with a wall instead of a sphere")
-    parser.add_argument(
-        "--restitution", type=quantity("number"), help="requested restitution, 0 to 1 (default: from the material)"
-    )
-    parser.add_argument(
-        "--steps-per-contact",
-        metavar="N",
-        type=float,
+    add("--restitution", type=quantity("number"), help="requested restitution, 0 to 1 (default: from the material)")
+    add(
+        "--steps-per-contact", metavar="N", type=float,
         help="time steps per expected contact duration (default: from the automatic time step)",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON in SI units")
+    )  # fmt: skip
+    add("--json", action="store_true", help="print JSON in SI units")
     add_machine(parser, "f64")
-    parser.set_defaults(verb=collide)
 
 
 def add_restitution(verbs: Any) -> None:
     """Add `granflow restitution` and its arguments."""
-    parser = add_scene_verb(
-        verbs,
-        restitution,
-        "print requested and simulated restitution for each pair of materials at the time step of the scene",
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory for CSV and PNG (default: out/SCENE)")
+    summary = "print requested and simulated restitution for each pair of materials at the time step of the scene"
+    parser = add_scene_verb(verbs, restitution, summary)
+    add_out(parser, "out/SCENE", "CSV and PNG")
     add_machine(parser)
 
 
@@ -145,32 +122,20 @@ def add_fit(verbs: Any) -> None:
 
     Exactly one of --material, --limit-velocity and --fit-limit determines the limit velocity.
     """
-    summary = "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements"
-    parser = verbs.add_parser("fit", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument(
-        "data",
-        metavar="DATA.csv",
-        type=Path,
-        help="table with the columns velocity [m/s] and restitution, optionally deviation or weight",
-    )
+    parser = add_verb(verbs, fit, "fit sigma and psi of the restitution curve (Zhou 2011, Eq. 12) to measurements")
+    columns = "table with the columns velocity [m/s] and restitution, optionally deviation or weight"
+    parser.add_argument("data", metavar="DATA.csv", type=Path, help=columns)
     known = parser.add_mutually_exclusive_group(required=True)
-    known.add_argument(
-        "--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)"
-    )
-    known.add_argument("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
-    known.add_argument("--fit-limit", action="store_true", help="also fit the limit velocity")
-    parser.add_argument(
-        "--material2", metavar="PRESET", help="with --material: material of the second body (default: the same)"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory for CSV and PNG (default: out/DATA)")
-    parser.set_defaults(verb=fit)
+    add = known.add_argument
+    add("--material", metavar="PRESET", help="compute the limit velocity of this material (Zhou 2011, Eq. 11)")
+    add("--limit-velocity", type=quantity("velocity"), help="limit velocity, such as 340 m/s")
+    add("--fit-limit", action="store_true", help="also fit the limit velocity")
+    second = "with --material: material of the second body (default: the same)"
+    parser.add_argument("--material2", metavar="PRESET", help=second)
+    add_out(parser, "out/DATA", "CSV and PNG")
 
 
 def add_paper(verbs: Any) -> None:
     """Add `granflow paper` and its arguments."""
     summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
-    parser = verbs.add_parser("paper", help=summary, description=summary[0].upper() + summary[1:] + ".")
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("out/paper"), help="output directory (default: out/paper)"
-    )
-    parser.set_defaults(verb=paper)
+    add_out(add_verb(verbs, paper, summary), "out/paper")

@@ -10,9 +10,7 @@ import taichi as ti
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactState, ModelRequest
-
-MIN_VELOCITY_SHARE = 0.01
-"""Lower limit of the impact velocity in Eq. 19 per contact, over the largest velocity."""
+from granflow.contact.theory import MIN_VELOCITY_SHARE
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ Number: TypeAlias = float | np.ndarray
 LOADING_DURATION = 0.4 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
 """eta1 of Eq. 14: the integral of du / sqrt(1 - u^2.5) from 0 to 1, 1.4716..."""
 
+MIN_VELOCITY_SHARE = 0.01
+"""Lower limit of the impact velocity in Eq. 19 per contact, over the largest velocity."""
+
 
 def hertz_stiffness(modulus: Number, radius: Number) -> Number:
     """Hertz stiffness k = (4/3) E sqrt(R) [N/m^1.5] from effective modulus [Pa] and radius [m]."""

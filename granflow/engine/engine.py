@@ -16,7 +16,7 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
-from granflow.engine.limits import ABORT_LEFT_DOMAIN, Diagnosis
+from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import State
@@ -24,7 +24,7 @@ from granflow.engine.stepper import Stepper
 from granflow.engine.totals import totals_of
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion, pose
-from granflow.particles.generate import ParticleData
+from granflow.particles.particle_data import ParticleData
 from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
 from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
@@ -112,6 +112,24 @@ class Engine:
             velocity_gain = 0.5 * self.time_step * self._gravity
             arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
         append_particles(self.state, arrays | {"velocity_synchronized": arrays["velocity"]})
+
+    def restart(self, new: ParticleData, time_step: float | None = None) -> None:
+        """Replace all particles, with initial forces and without contact history; also after an abort.
+
+        new:        particles at the present time
+        time_step:  of all further steps [s]; None: the present one
+        """
+        state = self.state
+        state.count = 0
+        state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
+        for row in (state.neighbors.list_begin, state.neighbors.list_end):
+            row.fill(0)
+        if time_step is not None:
+            state.clock.change(time_step)
+        self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
+        self._started = False
+        self.insert(new)
+        self.refresh()
 
     def set_walls(self, present: Sequence[bool], motions: Sequence[Sequence[Motion]]) -> None:
         """Set which walls are present and their motions; takes effect with the next `refresh`.

@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 
-from granflow.particles.generate import ParticleData
+from granflow.particles.particle_data import ParticleData
 from granflow.plan.plan import Plan
 
 

@@ -31,7 +31,14 @@ from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import PlannedOutlet, planned_outlets
 from granflow.plan.resolution import coordinate_limit, refuse_coarse
 from granflow.plan.size_classes import diameter_range, size_classes
-from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
+from granflow.plan.time_step import (
+    PairCase,
+    TimeStep,
+    choose_time_step,
+    resolution_warning,
+    shortest_phase,
+    stable_step,
+)
 from granflow.plan.travel import (
     STEP_SHARE,
     refuse_fast_images,
@@ -101,6 +108,12 @@ class Plan:
     wall_speed: float
     controlled_motions: tuple[ControlledMotion, ...]
     """Motions of walls that respond to the forces of the particles."""
+    pair_cases: tuple[PairCase, ...]
+    """Possible contacts between groups, and between groups and walls."""
+    pair_materials: Mapping[str, PairMaterial]
+    """Constants of the material pairs by their keys in the scene."""
+    group_diameters: Mapping[str, tuple[float, float]]
+    """Smallest and largest diameter [m] of each group."""
     adaptive_time_step: AdaptiveTimeStep | None
     """Time steps by impact velocity if the time step is adaptive."""
 
@@ -108,6 +121,19 @@ class Plan:
     def time_step(self) -> float:
         """Time step dt [s]; an adaptive time step starts with it."""
         return self.step.value
+
+    def pair(self, first: str, second: str) -> PairMaterial:
+        """Constants of two materials in any order. Raises KeyError if the scene has no such pair."""
+        key = f"{first}-{second}"
+        return self.pair_materials[key if key in self.pair_materials else f"{second}-{first}"]
+
+    def shortest_phase(self, pair_case: PairCase, velocity: float) -> float:
+        """Shorter of loading and unloading time [s] of a contact at an impact velocity [m/s]; see `time_step`."""
+        return shortest_phase(pair_case, self.law, velocity)
+
+    def stable_step(self, pair_case: PairCase, velocity: float) -> float:
+        """Stability limit of the time step [s] of a contact at an impact velocity [m/s]; see `time_step`."""
+        return stable_step(pair_case, self.law, velocity)
 
     @property
     def longest_time_step(self) -> float:
@@ -286,6 +312,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     refuse_coarse(scene, radius_min)
     step = _time_step(scene, law, velocity, 2.0 * radius_max)
     refuse_fast_motion(scene, step.value)
+    pair_cases = pair_cases_of(scene)
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
@@ -309,7 +336,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         velocity_max=velocity,
         walls=walls,
         wall_speed=speed,
-        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases_of(scene), velocity, step.value),
+        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
+        pair_cases=tuple(pair_cases),
+        pair_materials={key: pair_material(scene, *key.split("-")) for key in scene.pairs},
+        group_diameters={name: diameter_range(group) for name, group in scene.particles.items()},
         adaptive_time_step=_adaptive_time_step(scene, law, velocity, max(speed, image_speed(scene)))
         if features.adaptive_step
         else None,

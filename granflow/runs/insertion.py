@@ -9,7 +9,7 @@ import numpy as np
 
 from granflow.engine.engine import Engine
 from granflow.engine.host_copy import copy_to_host
-from granflow.particles.generate import inserters
+from granflow.particles.insertion import inserters
 from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.sizes import ClassSizes
 

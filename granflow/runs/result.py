@@ -12,6 +12,7 @@ from rich.text import Text
 from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
+from granflow.visible_text import readable
 
 _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
 _TOTAL = "wall_clock"
@@ -99,18 +100,6 @@ def closing_table(result: Result, title: str = "Result") -> Table:
             table.add_row(*row)
         table.add_section()
     return table
-
-
-def readable(number: float) -> str:
-    """Return the text of a number: whole and large numbers in groups of three digits, others with four digits.
-
-    Large: from 1e4 to 1e12, rounded to four significant digits.
-    """
-    if float(number).is_integer() and abs(number) < 1e15:
-        return f"{int(number):,}".replace(",", " ")
-    if 1e4 <= abs(number) < 1e12:
-        return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
-    return f"{number:.4g}"
 
 
 def _run_rows(result: Result) -> list[tuple[str, str, str]]:

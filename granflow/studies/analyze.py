@@ -1,53 +1,26 @@
 """Metrics and fields of a finished run, computed from its frames."""
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import FileError, GranflowError
-from granflow.fields import CONTACT_QUANTITIES, METRIC_QUANTITIES, PARTICLE_QUANTITIES
-from granflow.io.tables import read_table, write_table
-from granflow.observers.base import CONTACTS
-from granflow.observers.build import field_frames
-from granflow.observers.coarse_graining.field_frames import FieldFrames
-from granflow.observers.metrics.build import metric_meters
-from granflow.observers.metrics.meter import MetricMeter
-from granflow.scene.schema.scene import Scene
-from granflow.snapshot import Snapshot
+from granflow import GranflowError, Scene, Snapshot, analyze_snapshots
+from granflow.errors import FileError
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.io.tables import read_table
 from granflow.studies.render.frames import Frame, frames_of, is_empty, read_mesh, read_particles
 
-MetricRow = dict[str, float | str]
-"""Row of metrics.csv by column name."""
 
-
-def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
+def analyze(directory: Path, scene: Scene, out: Path) -> list[dict[str, float | str]]:
     """Compute the metrics of `scene` for each frame of a run; write its fields and `metrics.csv` to `out`.
 
-    `scene` is that of the run; its `output.metrics` and `output.fields` may differ. A row contains the time [s], the
-    stage and each value under its column name with the unit. Frames without particles are skipped.
-
-    Raises GranflowError if the scene requests nothing, if frames lack contacts, or if files cannot be read.
+    `scene` is that of the run; its `output.metrics` and `output.fields` may differ. Returns the rows of metrics.csv by
+    column name. Frames without particles are skipped. Raises the errors of `analyze_snapshots`, and GranflowError if
+    files cannot be read.
     """
-    meters = metric_meters(scene)
-    fields = [field_frames(scene, name, spec, out) for name, spec in scene.output.fields.items()]
-    if not meters and not fields:
-        raise GranflowError(
-            "Nothing to analyze: the scene has neither output.metrics nor output.fields. Add one, such as "
-            "--set 'output.metrics.bed={kind: coordination}'."
-        )
-    rows = []
-    for snapshot in snapshots_of(directory, scene):
-        _refuse_without_contacts(directory, snapshot, [*meters.values(), *fields])
-        for frames in fields:
-            frames.observe(snapshot)
-        rows.append(_row(snapshot, meters))
-    for frames in fields:
-        frames.finish()
-    if meters:
-        _write(out / "metrics.csv", rows)
-    return rows
+    return analyze_snapshots(scene, snapshots_of(directory, scene), out, str(directory))
 
 
 def snapshots_of(directory: Path, scene: Scene) -> Iterator[Snapshot]:
@@ -79,49 +52,19 @@ def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
     return empty_contacts | found | {"position_i": mesh.points[lines[:, 0]], "position_j": mesh.points[lines[:, 1]]}
 
 
-def _stages(path: Path, scene: Scene) -> "_StageAt":
+def _stages(path: Path, scene: Scene) -> Callable[[float], str]:
     """Stage as a function of time [s]: that of the last row of the time series at or before it.
 
     Without a time series, the first stage. Raises GranflowError if the file cannot be read.
     """
-    try:
-        table = read_table(path) if path.exists() else None
-        if table is None:
-            return _StageAt([0.0], [scene.schedule[0].name])
-        time, stage = table.names.index("time [s]"), table.names.index("stage")
-        return _StageAt([float(cells[time]) for _, cells in table.rows], [cells[stage] for _, cells in table.rows])
-    except (FileError, ValueError, IndexError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
-
-
-class _StageAt:
-    """Names of stages as a function of time."""
-
-    def __init__(self, times: list[float], names: list[str]) -> None:
-        self._times, self._names = times, names
-
-    def __call__(self, time: float) -> str:
-        return self._names[max(bisect_right(self._times, time) - 1, 0)]
-
-
-def _refuse_without_contacts(directory: Path, snapshot: Snapshot, readers: list[MetricMeter | FieldFrames]) -> None:
-    """Raise GranflowError if a metric or field requires contacts that the run did not write."""
-    if snapshot.contacts is None and any(CONTACTS in each.wants for each in readers):
-        raise GranflowError(
-            f"{directory} has no frames of contacts, which fabric and contact stress require: run the scene with "
-            "output.contacts: true, or omit these quantities (quantities: [density, velocity])."
-        )
-
-
-def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
-    """Row of metrics.csv: time [s], stage, and the readings of all metrics for a snapshot."""
-    row: MetricRow = {"time [s]": snapshot.time, "stage": snapshot.stage}
-    for name, meter in meters.items():
-        meter.update(snapshot)
-        row |= {METRIC_QUANTITIES[each].label_of(name): number for each, number in meter.readings().items()}
-    return row
-
-
-def _write(path: Path, rows: list[MetricRow]) -> None:
-    """Write rows as CSV; the directory is created if necessary."""
-    write_table(path, rows[0] if rows else ["time [s]"], (row.values() for row in rows))
+    times, names = [0.0], [scene.schedule[0].name]
+    if path.exists():
+        try:
+            table = read_table(path)
+            if table is None:
+                return lambda time: names[0]
+            time, stage = table.names.index("time [s]"), table.names.index("stage")
+            times, names = [float(cells[time]) for _, cells in table.rows], [cells[stage] for _, cells in table.rows]
+        except (FileError, ValueError, IndexError) as error:
+            raise GranflowError(f"{path} cannot be read ({error}): remove it, or run again.") from None
+    return lambda time: names[max(bisect_right(times, time) - 1, 0)]

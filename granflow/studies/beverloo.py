@@ -3,8 +3,7 @@
     W = C rho sqrt(g) (D - k d)^(5/2)      (Beverloo, Leniger & van de Velde, Chem. Eng. Sci. 15 (1961) 260)
 
 with the orifice D, the particle diameter d and the bulk density rho. The fitted quantity is ln W, so that small flows
-have the same weight as large ones; for each k the best C, and the best exponent if it is free, follow from a straight
-line.
+have the same weight as large ones.
 """
 
 import json
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import GranflowError
+from granflow import GranflowError, load_scene
 from granflow.io.regular_files import read_regular_text
 from granflow.io.tables import read_table
 from granflow.scene.schema.units import UnitError, to_si
@@ -28,11 +27,8 @@ GRAVITY = 9.81
 K_LOWEST = -10.0
 """Smallest k of the search; published values lie between 1 and 3."""
 
-K_VALUES = 400
-"""Values of k per search round."""
-
-SEARCH_ROUNDS = 6
-"""Number of search rounds; each covers the interval between the neighbors of the previous best value."""
+K_START = 1.4
+"""Initial k of the fit, for orifices that are wider."""
 
 COLUMNS = {"orifice": "length", "mass_flow": "mass_flow"}
 """Columns of a table of flows, with the dimension of their units."""
@@ -87,55 +83,39 @@ def fit_beverloo(
         raise GranflowError("A flow or an orifice is not above 0: leave out orifices that were blocked.")
     ratio = data.orifice / particle_diameter
     height = np.log(data.mass_flow / (bulk_density * np.sqrt(gravity) * particle_diameter**EXPONENT))
-    k = _best_k(ratio, height, exponent)
-    level, power, residual = (values[0] for values in _line(ratio, height, np.array([k]), exponent))
-    derivatives = [np.ones_like(ratio), -power / (ratio - k), np.log(ratio - k)][:needed]
-    errors = _errors(np.column_stack(derivatives), residual)
-    c = float(np.exp(level))
-    free = float(errors[2]) if exponent is None else 0.0
-    return BeverlooFit(c, k, float(power), c * float(errors[0]), float(errors[1]), free, residual)
+    values, covariance = _fit_logarithms(ratio, height, exponent)
+    level, k, power = (*values, exponent)[:3]
+    residual = height - level - power * np.log(ratio - k)
+    errors = np.sqrt(np.diag(covariance)) if len(ratio) > needed else np.full(needed, np.nan)
+    c, free = float(np.exp(level)), float(errors[2]) if exponent is None else 0.0
+    return BeverlooFit(c, float(k), float(power), c * float(errors[0]), float(errors[1]), free, residual)
 
 
-def _best_k(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> float:
-    """Value of k below all D/d with the least sum of squares, by successively refined grid search.
+def _fit_logarithms(ratio: np.ndarray, height: np.ndarray, exponent: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Best ln C, k and, if it is free, exponent n (p,), and their covariance (p, p).
 
-    `ratio`: D/d (n,); `height` (n,): ln of the dimensionless flow.
+        height = ln C + n ln(D/d - k)
+
+    `ratio`: D/d (n,), `height` (n,): ln of the dimensionless flow; k lies between K_LOWEST and all D/d.
     """
-    low, high = K_LOWEST, float(ratio.min())
-    best = low
-    for _ in range(SEARCH_ROUNDS):
-        values = np.linspace(low, high, K_VALUES + 2)[1:-1]
-        costs = (_line(ratio, height, values, exponent)[2] ** 2).sum(axis=1)
-        best, step = float(values[int(np.argmin(costs))]), float(values[1] - values[0])
-        low, high = best - step, min(best + step, float(ratio.min()))
-    return best
+    import warnings
 
+    from scipy.optimize import OptimizeWarning, curve_fit
 
-def _line(
-    ratio: np.ndarray, height: np.ndarray, k: np.ndarray, exponent: float | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Best ln C and exponent (m,) for each k (m,), and the residuals (m, n) of `height` (n,).
+    def line(at: np.ndarray, level: float, k: float, power: float = exponent or EXPONENT) -> np.ndarray:
+        return np.asarray(level + power * np.log(at - k))
 
-    height = ln C + n ln(D/d - k)
-    """
-    along = np.log(ratio - k[:, None])
-    middle = along.mean(axis=1)
-    offset = along - middle[:, None]
-    power = np.full(len(k), exponent) if exponent is not None else (offset @ height) / (offset**2).sum(axis=1)
-    level = height.mean() - power * middle
-    return level, power, height - level[:, None] - power[:, None] * along
+    def slopes(at: np.ndarray, level: float, k: float, power: float = exponent or EXPONENT) -> np.ndarray:
+        return np.stack([np.ones_like(at), -power / (at - k), np.log(at - k)][:count], axis=1)
 
-
-def _errors(derivatives: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Standard errors (p,) of the parameters from the residuals (n,) of the fit; nan without degrees of freedom.
-
-    `derivatives` (n, p): of the fitted values with respect to the parameters.
-    """
-    degrees_of_freedom = len(residual) - derivatives.shape[1]
-    if degrees_of_freedom < 1:
-        return np.full(derivatives.shape[1], np.nan)
-    covariance = np.linalg.pinv(derivatives.T @ derivatives) * (residual @ residual) / degrees_of_freedom
-    return np.asarray(np.sqrt(np.diag(covariance)))
+    count, largest = 2 if exponent is not None else 3, float(ratio.min())
+    k = min(K_START, 0.5 * largest)
+    start = (float(np.mean(height - EXPONENT * np.log(ratio - k))), k, EXPONENT)[:count]
+    bounds = ((-np.inf, K_LOWEST, -np.inf)[:count], (np.inf, largest, np.inf)[:count])
+    tolerances = {"xtol": 1e-13, "ftol": None, "gtol": None}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OptimizeWarning)  # as many flows as parameters: no covariance
+        return curve_fit(line, ratio, height, start, bounds=bounds, jac=slopes, **tolerances)
 
 
 def read_discharges(sources: Sequence[Path]) -> Discharge:
@@ -153,8 +133,6 @@ def read_discharges(sources: Sequence[Path]) -> Discharge:
 
 def _of_run(source: Path) -> list[tuple[float, float]]:
     """Orifice [m] and mass flow rate [kg/s] of a run. Raises GranflowError."""
-    from granflow.load import load
-
     path = source / "result.json"
     if not path.exists():
         raise GranflowError(f"{source} has no result.json; give the directory of a finished run.")
@@ -162,7 +140,7 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
         numbers = json.loads(read_regular_text(path))["flow_meters"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise GranflowError(f"{path} cannot be read ({error}); give the directory of a finished run.") from None
-    meters = load(source / "scene_as_run.yaml").output.flow_meters
+    meters = load_scene(source / "scene_as_run.yaml").output.flow_meters
     found = [
         (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
     ]

@@ -2,47 +2,17 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
-from granflow.contact.material import PairMaterial
-from granflow.contact.model import NormalLaw
 from granflow.contact.registry import NORMAL_LAWS
-from granflow.engine.backend import start
-from granflow.engine.engine import Engine
-from granflow.errors import GranflowError, SceneError
-from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, build_law, pair_material, plan_for
-from granflow.scene.reader import scene_in
 from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.run import LARGEST_OVERLAP
-from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import suggestion_or_list
-from granflow.scene.writer import to_yaml
-from granflow.scene.yaml12 import parse
-
-WALL = "wall"
-"""Name of the wall in the scene."""
-
-HALVINGS = 60
-"""Number of bisection steps; sufficient for float64 precision of the overlap."""
-SHORT = 1e-3
-"""Time step of the reference integration relative to the duration; sub-step corrections are then negligible."""
-LONGEST = 20.0
-"""Maximum length of a collision in units of its expected duration."""
-
-
-@dataclass(frozen=True)
-class CollisionInput:
-    """Input of a collision: material pair, effective radius [m], effective mass [kg], approach velocity [m/s]."""
-
-    pair: PairMaterial
-    radius_eff: float
-    mass_eff: float
-    velocity: float
+from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.studies.reference_path import Impact, damped_path, end_overlap, history_along, loading_path
 
 
 def collide(
@@ -72,27 +42,63 @@ def collide(
     Raises GranflowError for an unknown preset or contact model, values that are not positive, a restitution that is
     neither given nor known, an overlap of more than a radius, or an unstable time step.
     """
-    sizes = (diameter, diameter2 or diameter)
-    materials = (material, material2 or material)
+    sizes, materials = (diameter, diameter2 or diameter), (material, material2 or material)
     _refuse_unknown(law, materials)
     _refuse_unphysical(sizes, velocity, steps_per_contact)
     _refuse_restitution(law, materials, restitution)
-    backend = start(arch, precision or "f64")  # type: ignore[arg-type]
-    described = _scene_of(law, materials, sizes, velocity, wall, restitution)
-    scene = _read(described, settings)
-    impact = _impact(scene, sizes, velocity, wall)
-    expected = _expected(build_law(scene, velocity), impact)
+    pair = {"friction": 0} | _restitution_given(law, materials, restitution)
+    normal = {"law": law, **NORMAL_LAWS[law].example} | _settings(settings)
+    radius, other = 0.5 * diameter, None if wall else 0.5 * sizes[1]
+
+    def bench(**run: Any) -> CollisionBench:
+        return CollisionBench(
+            materials={"first": {"preset": materials[0]}, "second": {"preset": materials[1]}},
+            pairs={"first-first": pair, "first-second": pair, "second-second": pair},
+            contact={"normal": normal},
+            collisions=[Collision("first", "second", radius, other, velocity, 1.0 if wall else 0.5)],
+            run={"duration": 1.0, "velocity_max": velocity, "precision": precision or "f64", **run},
+            arch=arch,
+        )
+
+    free = bench()
+    impact = free.pair_of(free.collisions[0])
+    expected = _expected(free.plan, impact)
     _refuse_deep(sizes, velocity, expected["overlap_max_theory"])
     if steps_per_contact is not None:
-        described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
-    described["run"]["precision"] = backend.precision
+        free = bench(time_step=expected["duration_theory"] / steps_per_contact)
     try:
-        plan = plan_for(_read(described, settings), on_gpu=not backend.on_cpu)
+        plan = free.plan
     except SceneError:
         raise GranflowError(f"{steps_per_contact:g} steps per contact are not stable; use more.") from None
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
-    return expected | _integrate_collision(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
+    found = _integrate_collision(free, impact)
+    free.free()
+    return expected | found | {"time_step": plan.time_step}
+
+
+def _settings(given: Sequence[str]) -> dict[str, Any]:
+    """Settings of the contact model from "key=value"; values are YAML.
+
+    Raises GranflowError for a setting of another form.
+    """
+    from ruamel.yaml import YAML, YAMLError
+
+    found: dict[str, Any] = {}
+    for setting in given:
+        path, equals, text = setting.partition("=")
+        *parents, last = path.strip().split(".")
+        try:
+            if not (equals and last and text.strip() and all(parents)):
+                raise ValueError
+            block = found
+            for key in parents:
+                block = block.setdefault(key, {})
+            block[last] = YAML(typ="safe", pure=True).load(text)
+        except (YAMLError, ValueError, AttributeError, TypeError):
+            form = "key=value, such as yield_ratio=2.8"
+            raise GranflowError(f"--set {setting}: a setting of the contact model has the form {form}.") from None
+    return found
 
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
@@ -148,60 +154,6 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
         raise GranflowError(f"The contact model {law} requires a restitution above 0, such as --restitution 0.1.")
 
 
-def _read(described: dict[str, Any], settings: Sequence[str]) -> Scene:
-    """Scene from its description and the settings of its contact model.
-
-    Raises SceneError as for a scene file; positions refer to the source "collide".
-    """
-    return scene_in(parse(to_yaml(described), "collide"), [f"contact.normal.{each}" for each in settings])
-
-
-def _scene_of(
-    law: str,
-    materials: tuple[str, str],
-    sizes: tuple[float, float],
-    velocity: float,
-    wall: bool,
-    restitution: float | None,
-) -> dict[str, Any]:
-    """Scene of the collision, as a mapping in the structure of a scene file.
-
-    `sizes` [m]; `velocity` [m/s]: approach velocity, half of it for each sphere, or all of it toward a wall. The
-    spheres touch at the start. Raises GranflowError if the restitution is unknown.
-    """
-    first, second = ("first", "second")
-    pair = {"friction": 0} | _restitution_given(law, materials, restitution)
-    share = 1.0 if wall else 0.5
-    sphere = {
-        "material": first,
-        "diameter": sizes[0],
-        "velocity": [share * velocity, 0, 0],
-        "insert": {"kind": "positions", "positions": [[-0.5 * sizes[0], 0, 0]]},
-    }
-    contact_distance = 10.0 * max(sizes)
-    scene: dict[str, Any] = {
-        "title": "Head-on collision",
-        "gravity": [0, 0, 0],
-        "materials": {first: {"preset": materials[0]}, second: {"preset": materials[1]}},
-        "pairs": {"first-first": pair, "first-second": pair, "second-second": pair},
-        "contact": {"normal": {"law": law, **NORMAL_LAWS[law].example}, "tangential": "none", "rolling": "none"},
-        "particles": {"sphere": sphere},
-        "domain": {"min": [-contact_distance] * 3, "max": [contact_distance] * 3, "on_exit": "error"},
-        "run": {"duration": 1.0, "velocity_max": velocity},
-        "numerics": {"max_overlap": LARGEST_OVERLAP},
-        "output": {"interval": 1.0},
-    }
-    if wall:
-        scene["walls"] = {WALL: {"shape": "plane", "point": [0, 0, 0], "normal": [-1, 0, 0], "material": second}}
-    else:
-        other = {"kind": "positions", "positions": [[0.5 * sizes[1], 0, 0]]}
-        velocity_back = [-0.5 * velocity, 0, 0]
-        scene["particles"]["other"] = {
-            "material": second, "diameter": sizes[1], "velocity": velocity_back, "insert": other
-        }  # fmt: skip
-    return scene
-
-
 def _restitution_given(law: str, materials: tuple[str, str], restitution: float | None) -> dict[str, Any]:
     """Restitution of the pair as a scene entry; empty if the contact model derives it from the materials.
 
@@ -218,172 +170,39 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
     )
 
 
-def _impact(scene: Scene, sizes: tuple[float, float], velocity: float, wall: bool) -> CollisionInput:
-    """Effective radius [m] and mass [kg] of the collision; a wall has infinite radius and mass."""
-    pair = pair_material(scene, "first", "second")
-    radii = 0.5 * np.array(sizes)
-    densities = np.array([scene.materials[name].density for name in ("first", "second")])
-    masses = 4.0 / 3.0 * np.pi * radii**3 * densities
-    if wall:
-        return CollisionInput(pair, float(radii[0]), float(masses[0]), velocity)
-    return CollisionInput(pair, float(radii.prod() / radii.sum()), float(masses.prod() / masses.sum()), velocity)
-
-
-def _expected(law: NormalLaw, impact: CollisionInput) -> dict[str, float]:
+def _expected(plan: Plan, impact: Impact) -> dict[str, float]:
     """Closed forms of the contact model; for a dashpot without closed form, results of a fine integration."""
-    k = float(theory.hertz_stiffness(impact.pair.modulus_eff, impact.radius_eff))
-    mass, velocity = impact.mass_eff, impact.velocity
-    requested = law.restitution(impact.pair, impact.radius_eff, mass, velocity)
+    pair, radius_eff, mass, velocity = impact
+    k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
     spring = float(theory.equivalent_spring(k, mass, velocity))
+    requested = plan.law.restitution(*impact)
     shared = {"velocity": velocity, "restitution_asked": requested, "spring_equation19": spring}
-    return shared | (_integrated(law, impact) if law.rate_dependent else _closed(law, impact))
+    return shared | (damped_path(plan, impact) if plan.law.rate_dependent else loading_path(plan, impact))
 
 
-def _closed(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy.
+def _integrate_collision(bench: CollisionBench, impact: Impact) -> dict[str, float]:
+    """Run the collision: maximum overlap and force, rebound velocity and duration.
 
-        int_0^dmax F dd = M v^2 / 2
-
-    The integral is a sum of trapezoids, `steps` of them in the loading time at the approach velocity; the last one is
-    interpolated.
+    Raises GranflowError if the contact does not end.
     """
-    bodies = (impact.radius_eff, impact.mass_eff)
-    loading, unloading = law.phase_durations(impact.pair, *bodies, impact.velocity)
-    constants, history = np.array(law.pair_constants(impact.pair)), np.zeros(max(law.history_count, 1))
-    moment = loading / steps
-    step = impact.velocity * moment
-    overlap, force, force_before, energy = 0.0, 0.0, 0.0, 0.5 * impact.mass_eff * impact.velocity**2
-    while energy > 0.0:
-        force_before, overlap = force, overlap + step
-        force, history = law.reference_force(constants, *bodies, moment, overlap, impact.velocity, history)
-        energy -= 0.5 * (force_before + force) * step
-    # -energy is the excess work of the last step
-    overlap_max, force_max = overlap + energy / force, force + (force - force_before) * energy / force / step
+    overlap, rate, force = bench.run()[:, :, 0].T
+    force, plan, time_step = np.abs(force), bench.plan, bench.plan.time_step
+    last = int(np.flatnonzero(force)[-1])
+    if last + 1 == len(force):
+        raise GranflowError(
+            "The collision did not end: the attraction prevents separation." if plan.law.attracts
+            else "The collision did not end; increase --steps-per-contact."
+        )  # fmt: skip
+    residual = end_overlap(plan, impact, time_step, overlap[last], history_along(plan, impact, overlap, rate, force))
+    # A viscous force vanishes while the spheres still overlap: the line through the last two forces. Otherwise the
+    # surfaces separate at a constant rate.
+    remaining = (overlap[last] - residual) / -rate[last]
+    if plan.features.rate_dependent and force[last - 1] > force[last]:
+        remaining = min(time_step * force[last] / (force[last - 1] - force[last]), time_step)
     return {
-        "duration_theory": loading + unloading,
-        "overlap_max_theory": overlap_max,
-        "overlap_residual_theory": _end_overlap(law, impact, moment, overlap_max, history),
-        "force_max_theory": force_max,
-    }
-
-
-def _end_overlap(
-    law: NormalLaw, impact: CollisionInput, time_step: float, overlap: float, history: np.ndarray
-) -> float:
-    """Overlap [m] at which the elastic force of a contact with this history vanishes, by bisection; 0 if attractive.
-
-    `overlap` [m]: upper end of the search, with a repulsive force; `history`: fields of the contact model.
-    """
-    constants, low, high = np.array(law.pair_constants(impact.pair)), 0.0, overlap
-    for _ in range(HALVINGS if not law.attracts else 0):
-        middle = 0.5 * (low + high)
-        bodies = (impact.radius_eff, impact.mass_eff)
-        force, _memory = law.reference_force(constants, *bodies, time_step, middle, 0.0, history)
-        low, high = (low, middle) if force > 0.0 else (middle, high)
-    return low
-
-
-def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> dict[str, float]:
-    """Duration [s], maximum overlap [m] and force [N] of M d'' = -F(d, d').
-
-    Classical Runge-Kutta method (fourth order) in numpy with `steps` steps of the expected duration.
-    """
-    constants = np.array(law.pair_constants(impact.pair))
-    step = sum(law.phase_durations(impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / steps
-    history = np.zeros(max(law.history_count, 1))
-    _, history = law.reference_force(constants, impact.radius_eff, impact.mass_eff, step, 0.0, impact.velocity, history)
-
-    def force(overlap: float, rate: float) -> float:
-        if overlap <= 0.0:
-            return 0.0
-        moment = SHORT * step
-        return law.reference_force(constants, impact.radius_eff, impact.mass_eff, moment, overlap, rate, history)[0]
-
-    def slope(state: np.ndarray) -> np.ndarray:
-        return np.array([state[1], -force(*state) / impact.mass_eff])
-
-    state, time, overlap_max, force_max = np.array([0.0, impact.velocity]), 0.0, 0.0, 0.0
-    while time == 0.0 or force(*state) > 0.0:
-        k1 = slope(state)
-        k2 = slope(state + 0.5 * step * k1)
-        k3 = slope(state + 0.5 * step * k2)
-        state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(state + step * k3))
-        time += step
-        _, history = law.reference_force(
-            constants, impact.radius_eff, impact.mass_eff, step, state[0], state[1], history
-        )
-        overlap_max, force_max = max(overlap_max, state[0]), max(force_max, force(*state))
-    return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}
-
-
-def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> dict[str, float]:
-    """Run the collision and record the maximum overlap and force, the rebound velocity and the duration.
-
-    Raises GranflowError if the contact does not end within LONGEST times its expected duration.
-    """
-    engine.insert(initial_particles(plan.scene))
-    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
-    engine.refresh()
-    limit = int(LONGEST * sum(plan.law.phase_durations(
-        impact.pair, impact.radius_eff, impact.mass_eff, impact.velocity)) / plan.time_step) + 10  # fmt: skip
-    previous = last = _sample(engine, plan)
-    overlap_max, force_max, duration, residual = 0.0, 0.0, 0.0, 0.0
-    for _ in range(limit):
-        engine.advance(1)
-        current = _sample(engine, plan)
-        overlap_max, force_max = max(overlap_max, current.overlap), max(force_max, current.force)
-        if current.force == 0.0 and last.force > 0.0:
-            residual = _end_overlap(plan.law, impact, plan.time_step, last.overlap, last.history)
-            duration = engine.time - plan.time_step + _remaining(previous, last, residual, plan)
-            break
-        previous, last = last, current
-    engine.free()
-    if duration == 0.0 and plan.law.attracts:
-        raise GranflowError("The collision did not end: the attraction prevents separation.")
-    if duration == 0.0:
-        raise GranflowError("The collision did not end; increase --steps-per-contact.")
-    return {
-        "restitution": float(-current.rate / impact.velocity),
-        "duration": duration,
-        "overlap_max": overlap_max,
+        "restitution": float(-rate[last + 1] / impact[3]),
+        "duration": float(last * time_step + remaining),
+        "overlap_max": float(overlap.max()),
         "overlap_residual": residual,
-        "force_max": force_max,
+        "force_max": float(force.max()),
     }
-
-
-def _remaining(previous: "_ContactSample", last: "_ContactSample", residual: float, plan: Plan) -> float:
-    """Time [s] from the last step with a force to the time at which the force vanishes.
-
-    A viscous force vanishes while the spheres still overlap; the time follows from the line through the last two
-    forces. Otherwise the surfaces separate at a constant rate.
-    """
-    if plan.features.rate_dependent and previous.force > last.force:
-        return min(plan.time_step * last.force / (previous.force - last.force), plan.time_step)
-    return (last.overlap - residual) / -last.rate
-
-
-@dataclass(frozen=True)
-class _ContactSample:
-    """Overlap [m], overlap rate [m/s], force [N] and history of the contact at one step.
-
-    `history` (fields,): of the contact model; the overlap is negative before and after the contact.
-    """
-
-    overlap: float
-    rate: float
-    force: float
-    history: np.ndarray
-
-
-def _sample(engine: Engine, plan: Plan) -> _ContactSample:
-    """State of the contact at the present step; positions and velocities are synchronized."""
-    arrays = engine.synchronized(("position", "velocity", "force", "mass", "radius"))
-    history_field = engine.state.neighbors.history.get("normal")
-    history = np.zeros(3) if history_field is None else history_field.to_numpy()[0]
-    position, velocity, force = (arrays[name][:, 0].astype(float) for name in ("position", "velocity", "force"))
-    contact_distance = float(arrays["radius"].sum(dtype=float))
-    if len(position) == 1:
-        return _ContactSample(contact_distance + position[0], float(velocity[0]), float(abs(force[0])), history)
-    left, right = np.argsort(position)
-    overlap = float(contact_distance - (position[right] - position[left]))
-    return _ContactSample(overlap, float(velocity[left] - velocity[right]), float(abs(force[0])), history)

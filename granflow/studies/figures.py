@@ -1,13 +1,11 @@
-"""Style and output of the figures of all studies, and CSV output of their data. Requires the extra `plot`."""
+"""Style and output of the figures of all studies. Requires the extra `plot`."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from granflow.errors import GranflowError
-from granflow.io.tables import write_table
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
 """Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
@@ -52,6 +50,13 @@ STYLE: dict[str, Any] = {
 """Settings of matplotlib that all figures share."""
 
 
+class Drawing(NamedTuple):
+    """Function that draws on an empty matplotlib figure, and the height of the figure [inch]."""
+
+    draw: Callable[[Any], None]
+    height: float
+
+
 def require_plotting() -> None:
     """Raise GranflowError if matplotlib is not installed."""
     try:
@@ -60,26 +65,38 @@ def require_plotting() -> None:
         raise GranflowError("Figures require matplotlib, which is not installed: pip install granflow[plot]") from None
 
 
-def draw_to(path: Path, draw: Any, height: float) -> None:
+def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
+    """Write figures by file name; without matplotlib, write none and return the reason, otherwise ""."""
+    try:
+        for name, (draw, height) in figures.items():
+            draw_to(out / name, draw, height)
+    except GranflowError as error:
+        return str(error)
+    return ""
+
+
+def draw_to(path: Path, draw: Callable[[Any], None], height: float) -> None:
     """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
 
     The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
+    """
+    with styled_figure((WIDTH, height), layout="constrained") as figure:
+        draw(figure)
+        figure.savefig(path, dpi=RESOLUTION)
+
+
+@contextmanager
+def styled_figure(size: tuple[float, float], settings: Mapping[str, Any] | None = None, **more: Any) -> Iterator[Any]:
+    """An empty matplotlib figure of `size` [inch]; in the block, matplotlib has the common style and `settings`.
+
+    `more`: keyword arguments of the figure. Raises GranflowError if matplotlib is not installed.
     """
     require_plotting()
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    with matplotlib.rc_context(STYLE | dict(settings or {})):
+        figure = Figure(figsize=size, **more)
         FigureCanvasAgg(figure)
-        draw(figure)
-        figure.savefig(path, dpi=RESOLUTION)
-
-
-def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns of equal length as CSV with a header line, numbers in full precision.
-
-    `columns`: name -> array (rows,). Raises ValueError for columns of different length.
-    """
-    write_table(path, columns, zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True))
+        yield figure

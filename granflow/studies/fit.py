@@ -1,8 +1,6 @@
 """Least-squares fit of sigma and psi of Eq. 12 to measured restitution.
 
-    e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
-
-At most three parameters with derivatives in closed form: Levenberg-Marquardt in numpy, without scipy.
+e(v) = exp(-sigma (v / (vlim - v))^psi)      (Zhou 2011, Eq. 12)
 """
 
 from dataclasses import dataclass
@@ -15,17 +13,15 @@ from granflow.contact.material import Solid, VelocityRestitution, limit_velocity
 from granflow.errors import GranflowError
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
-from granflow.studies.figures import COLORS, POINTS, draw_to, write_columns
+from granflow.studies.figures import COLORS, POINTS, draw_to
 from granflow.studies.measurements import Measurements
+from granflow.studies.tables import write_columns
 
 NAMES = ("sigma", "psi", "limit_velocity")
 """Parameters of Eq. 12, in the order of parameter vectors."""
 
-ITERATIONS = 500
-"""Maximum number of Levenberg-Marquardt iterations."""
-
-SMALLEST_STEP = 1e-10
-"""Convergence tolerance of the parameters (relative)."""
+TOLERANCE = 1e-15
+"""Convergence tolerance of the minimization (relative)."""
 START_MARGINS = (0.02, 0.2, 1.0, 5.0, 50.0)
 """Initial limit velocities: relative distance above the largest measured velocity."""
 FLATTEST = 0.05
@@ -121,34 +117,30 @@ def _starts(data: Measurements, limit: float | None) -> list[np.ndarray]:
 
 
 def _minimize(data: Measurements, start: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Parameters (3,) and sum of squares, by Levenberg-Marquardt in the logarithms of the parameters.
+    """Parameters (3,) and sum of squares, by least squares in the logarithms of the parameters.
 
     The logarithms keep sigma and psi above 0. The limit velocity is represented by its difference from the largest
     velocity with a rebound.
     """
-    fastest = 0.0 if limit else float(data.velocity[data.restitution > 0.0].max())
+    from scipy.optimize import least_squares
+
     free = 2 if limit else 3
-    floor = np.array([0.0, 0.0, fastest])
-    point, damping = start, 1e-3
-    residual, slopes = _linearized(data, point)
-    cost = float(residual @ residual)
-    for _ in range(ITERATIONS):
-        jacobian = (slopes * (point - floor))[:, :free]
-        normal = jacobian.T @ jacobian
-        step = np.zeros(3)
-        step[:free] = np.linalg.lstsq(
-            normal + damping * np.diag(np.diag(normal)), jacobian.T @ residual, rcond=None
-        )[0].clip(-1.0, 1.0)  # fmt: skip
-        proposed = floor + (point - floor) * np.exp(step)
-        new_residual, new_slopes = _linearized(data, proposed)
-        new_cost = float(new_residual @ new_residual)
-        if new_cost <= cost:
-            point, residual, slopes, cost, damping = proposed, new_residual, new_slopes, new_cost, 0.3 * damping
-        else:
-            damping *= 4.0
-        if np.abs(step).max() < SMALLEST_STEP:
-            break
-    return point, cost
+    floor = np.array([0.0, 0.0, 0.0 if limit else data.velocity[data.restitution > 0.0].max()])
+
+    def parameters(logarithms: np.ndarray) -> np.ndarray:
+        return np.append(floor[:free] + np.exp(logarithms), start[free:])
+
+    def residual(logarithms: np.ndarray) -> np.ndarray:
+        return _linearized(data, parameters(logarithms))[0]
+
+    def jacobian(logarithms: np.ndarray) -> np.ndarray:
+        point = parameters(logarithms)
+        return -(_linearized(data, point)[1] * (point - floor))[:, :free]
+
+    tolerances = dict.fromkeys(("xtol", "ftol", "gtol"), TOLERANCE)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = least_squares(residual, np.log((start - floor)[:free]), jacobian, method="lm", **tolerances)
+    return parameters(found.x), 2.0 * float(found.cost)
 
 
 def _linearized(data: Measurements, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

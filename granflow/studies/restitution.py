@@ -4,23 +4,19 @@
 reference implementation of the contact model instead, which takes about 0.1 s and requires no compilation.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from granflow import Plan, Scene, plan_for
 from granflow.contact.material import PairMaterial
-from granflow.engine.backend import start
-from granflow.engine.engine import Engine
-from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, pair_material, plan_for
-from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.run import LARGEST_OVERLAP
-from granflow.scene.schema.scene import Scene
-from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
+from granflow.studies.collision_bench import LONGEST, Collision, CollisionBench
+from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to
+from granflow.studies.tables import write_columns
 
 VELOCITIES_PER_DECADE = 4
 """Velocities of the collisions per decade."""
@@ -29,11 +25,6 @@ DECADES = 3
 """Decades of velocity below the largest expected one."""
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Phases of first touch within a time step."""
-SPACING = 2.5
-"""Spacing of neighboring collisions over the largest diameter."""
-LONGEST = 20.0
-"""Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
-
 HEIGHT = 5.2
 """Height of the figure [inch]."""
 
@@ -50,49 +41,28 @@ HALVINGS = 6
 """Number of halvings in the search for a sufficient time step (down to 1/64)."""
 
 
-@dataclass(frozen=True)
-class MaterialPairing:
-    """Two materials that can be in contact, and the radii [m] of their smallest spheres.
+def pairings(scene: Scene, plan: Plan) -> list[Collision]:
+    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii [m].
 
-    `other_radius` is None for a wall.
+    The collisions have no velocity yet.
     """
-
-    first: str
-    second: str
-    radius: float
-    other_radius: float | None
-
-    @property
-    def name(self) -> str:
-        """The two materials, followed by "wall" if the second is that of a wall."""
-        return f"{self.first}-{self.second}" + (" wall" if self.other_radius is None else "")
-
-    def reduced(self, scene: Scene) -> tuple[float, float]:
-        """Effective radius [m] and mass [kg] of the contact; a wall has infinite radius and mass."""
-        mass = _mass(self.radius, scene.materials[self.first].density)
-        if self.other_radius is None:
-            return self.radius, mass
-        other = _mass(self.other_radius, scene.materials[self.second].density)
-        radius_eff = self.radius * self.other_radius / (self.radius + self.other_radius)
-        return radius_eff, mass * other / (mass + other)
-
-
-def _mass(radius: float, density: float) -> float:
-    return 4.0 / 3.0 * np.pi * radius**3 * density
-
-
-def pairings(scene: Scene) -> list[MaterialPairing]:
-    """All pairs of materials that can be in contact in a scene, sphere pairs first, with their smallest radii [m]."""
     smallest: dict[str, float] = {}
-    for group in scene.particles.values():
-        radius = 0.5 * diameter_range(group)[0]
+    for name, group in scene.particles.items():
+        radius = 0.5 * plan.group_diameters[name][0]
         smallest[group.material] = min(radius, smallest.get(group.material, radius))
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
     spheres = [(a, b, smallest[b]) for a, b in combinations_with_replacement(smallest, 2)]
     combinations = [*spheres, *((a, b, None) for a in smallest for b in walls)]
     return [
-        MaterialPairing(a, b, smallest[a], other) for a, b, other in combinations if scene.pair_key(a, b) in scene.pairs
+        Collision(a, b, smallest[a], other, 0.0, share=1.0 if other is None else 0.5)
+        for a, b, other in combinations
+        if scene.pair_key(a, b) in scene.pairs
     ]
+
+
+def name_of(pairing: Collision) -> str:
+    """The two materials, followed by "wall" if the second is that of a wall."""
+    return f"{pairing.first}-{pairing.second}" + (" wall" if pairing.other_radius is None else "")
 
 
 # ---------------------------------------------------------------- on the device
@@ -129,125 +99,34 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
 
     Raises SceneError if the scene has no valid plan.
     """
-    backend = start(arch, scene.run.precision)  # type: ignore[arg-type]
-    plan = plan_for(scene, on_gpu=not backend.on_cpu)
-    pairs = pairings(scene)
-    count = DECADES * VELOCITIES_PER_DECADE + 1
+    plan = plan_for(scene)
+    pairs, count = pairings(scene, plan), DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
-    collisions = plan_for(_collision_scene(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
-    engine = Engine(collisions, backend)
-    engine.state.clock.change(plan.time_step)
-    rebound = _run_collisions(engine, collisions, _longest(plan, pairs, velocities[0]))
-    reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
+    described = scene.model_dump(by_alias=True, exclude_none=True)
+    for pair in described["pairs"].values():
+        pair["friction"] = 0.0
+        pair.pop("rolling_friction", None)
+    bench = CollisionBench(
+        materials=described["materials"], pairs=described["pairs"],
+        contact=described["contact"] | {"tangential": "none", "rolling": "none"},
+        collisions=[
+            replace(pair, velocity=float(velocity), first_contact=phase * plan.time_step)
+            for pair in pairs for velocity in velocities for phase in PHASES
+        ],
+        run={"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
+        numerics={key: value for key, value in described["numerics"].items() if key != "max_overlap"},
+        contact_x=float(np.abs([scene.domain.min, scene.domain.max]).max()), arch=arch,
+    )  # fmt: skip
+    bench.restart(bench.collisions, plan.time_step)  # more contacts than in the scene would limit a given time step
+    reached = bench.rebound().reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
+    bench.free()
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
-        material = pair_material(scene, pair.first, pair.second)
         for velocity, found in zip(velocities, per_velocity, strict=True):
-            requested = plan.law.restitution(material, *pair.reduced(scene), float(velocity))
-            rows.append(RestitutionRow(pair.name, float(velocity), requested, float(found.min()), float(found.max())))
+            requested = _impact(scene, plan, pair, velocity).requested
+            extremes = float(found.min()), float(found.max())
+            rows.append(RestitutionRow(name_of(pair), float(velocity), requested, *extremes))
     return rows, plan.time_step
-
-
-def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
-    """Maximum number of steps of the slowest collision; `velocity` [m/s]: the lowest."""
-    longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
-    return int(LONGEST * longest / plan.time_step) + 10
-
-
-def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocities: np.ndarray) -> Scene:
-    """Scene of all collisions along x: spaced in y by velocity and phase, in z by pair.
-
-    `velocities` (v,) [m/s]. Without friction and gravity; contacts are at the largest coordinate of the domain.
-    """
-    radii = [radius for pair in pairs for radius in (pair.radius, pair.other_radius) if radius is not None]
-    spacing = SPACING * 2.0 * max(radii)
-    contact_x = float(np.abs([scene.domain.min, scene.domain.max]).max())
-    described: dict[str, Any] = {"particles": {}, "walls": {}}
-    for row, pair in enumerate(pairs):
-        _add_row(described, pair, row, contact_x, spacing, velocities, plan.time_step)
-    reach = [contact_x + spacing, spacing * (len(velocities) * len(PHASES) + 1), spacing * (len(pairs) + 1)]
-    any_pair = next(iter(scene.pairs.values()))
-    used = dict.fromkeys(material for pair in pairs for material in (pair.first, pair.second))
-    material_pairs = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), any_pair)
-           for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
-    frictionless = {"friction": 0.0, "rolling_friction": None}
-    return Scene.model_validate(described | {
-        "title": "Given and simulated restitution",
-        "gravity": [0, 0, 0],
-        "materials": {name: scene.materials[name] for name in used},
-        "pairs": {key: pair.model_copy(update=frictionless) for key, pair in material_pairs.items()},
-        "contact": scene.contact.model_copy(update={"tangential": "none", "rolling": "none"}),
-        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
-        "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
-        "numerics": scene.numerics.model_copy(update={"max_overlap": LARGEST_OVERLAP}),
-        "output": {"interval": 1.0},
-    })  # fmt: skip
-
-
-def _add_row(
-    described: Mapping[str, dict[str, Any]], pair: MaterialPairing, row: int, contact_x: float, spacing: float,
-    velocities: np.ndarray, step: float,
-) -> None:  # fmt: skip
-    """Add the spheres of one pair, one collision per velocity and phase, with contact at x = `contact_x` [m]."""
-    speed = np.repeat(velocities, len(PHASES))
-    gap = speed * step * np.tile(PHASES, len(velocities))
-    positions = np.stack(
-        [np.zeros(len(speed)), spacing * np.arange(len(speed)), np.full(len(speed), spacing * row)], axis=1
-    )
-    spheres = [("first", pair.first, pair.radius, -1.0), ("second", pair.second, pair.other_radius, 1.0)]
-    share = 1.0 if pair.other_radius is None else 0.5
-    for name, material, radius, side in spheres:
-        if radius is None:
-            corner = [contact_x, -0.5 * spacing, spacing * (row - 0.5)]
-            extent = [[0.0, spacing * len(speed), 0.0], [0.0, 0.0, spacing]]
-            described["walls"][f"wall_{row}"] = {
-                "shape": "rectangle", "corner": corner, "sides": extent, "material": material
-            }  # fmt: skip
-            continue
-        sphere_centers = positions + np.array([contact_x, 0.0, 0.0])
-        sphere_centers[:, 0] += side * (radius + share * gap)
-        velocity = np.outer(-side * share * speed, [1.0, 0.0, 0.0])
-        described["particles"][f"{name}_{row}"] = {
-            "material": material, "diameter": 2.0 * radius, "velocity": velocity.tolist(),
-            "insert": {"kind": "positions", "positions": sphere_centers.tolist()},
-        }  # fmt: skip
-
-
-def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
-    """Rebound velocity (n,) [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
-    engine.insert(initial_particles(plan.scene))
-    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
-    engine.refresh()
-    batch = max(most_steps // 200, 1)
-    done, has_touched = 0, np.zeros(0, dtype=bool)
-    while done < most_steps:
-        engine.advance(batch)
-        done += batch
-        rate, force = _relative(engine, plan)
-        has_touched = (
-            (has_touched if len(has_touched) else np.zeros(len(rate), dtype=bool)) | (force != 0.0) | (rate < 0.0)
-        )
-        if np.all(has_touched & (force == 0.0) & (rate < 0.0)):
-            break
-    engine.free()
-    return np.where((force == 0.0) & (rate < 0.0), -rate, 0.0)
-
-
-def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Approach rate (n,) [m/s] and force (n,) [N] of each collision, in the order of the scene."""
-    arrays = engine.synchronized(("id", "velocity", "force", "mass"))
-    order = np.argsort(arrays["id"])
-    velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
-    rates, forces, begin = [], [], 0
-    for name, group in plan.scene.particles.items():
-        part = slice(begin, begin + group.count)
-        begin += group.count
-        if name.startswith("first"):
-            rates.append(velocity[part])
-            forces.append(force[part])
-        else:
-            rates[-1] = rates[-1] - velocity[part]
-    return np.concatenate(rates), np.concatenate(forces)
 
 
 def restitution_rows(rows: Sequence[RestitutionRow]) -> list[tuple[str, str, str, str, str]]:
@@ -297,33 +176,33 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
 # ---------------------------------------------------------------- with the reference implementation
 
 
-def warnings(plan: Plan) -> list[str]:
+def warnings(scene: Scene, plan: Plan) -> list[str]:
     """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
 
     Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if one is
     found. Collisions that cannot occur, and collisions for which the plan has a warning already, are excluded.
     QUICK_STEPS limits the total number of steps of all collisions.
     """
-    worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
+    worst: dict[str, tuple[float, Collision, _Impact]] = {}
     steps = 0
-    for pair in pairings(plan.scene):
-        if not _occurs(plan.scene, pair):
+    for pair in pairings(scene, plan):
+        if not _occurs(scene, pair):
             continue
         deviations: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
-            impact = _impact(plan, pair, share * plan.velocity_max)
+            impact = _impact(scene, plan, pair, share * plan.velocity_max)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
             deviations.append((abs(_worst_restitution(plan, impact, plan.time_step) / impact.requested - 1.0), impact))
-        key = plan.scene.pair_key(pair.first, pair.second)
+        key = scene.pair_key(pair.first, pair.second)
         for size, impact in deviations:
             if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
                 worst[key] = (size, pair, impact)
     return [_sentence(plan, pair, impact) for _, pair, impact in worst.values()]
 
 
-def _occurs(scene: Scene, pair: MaterialPairing) -> bool:
+def _occurs(scene: Scene, pair: Collision) -> bool:
     """Whether the collision is possible: not for two fixed particles, nor for a single particle with itself."""
     groups = [group for group in scene.particles.values() if group.material in (pair.first, pair.second)]
     mobile = {group.material for group in groups if not group.fixed}
@@ -344,9 +223,9 @@ class _Impact:
     duration: float
 
 
-def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
+def _impact(scene: Scene, plan: Plan, pair: Collision, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
-    collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
+    collision = (plan.pair(pair.first, pair.second), *pair.reduced(scene), velocity)
     return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
 
 
@@ -385,14 +264,14 @@ def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: floa
     return 0.0
 
 
-def _sentence(plan: Plan, pair: MaterialPairing, impact: _Impact) -> str:
+def _sentence(plan: Plan, pair: Collision, impact: _Impact) -> str:
     """Warning with the given and the simulated restitution, and the remedy."""
     reached = _worst_restitution(plan, impact, plan.time_step)
     remedy = next(_remedies(plan, impact), None)
     advice = f"Use run.time_step: {remedy:.2g} s." if remedy else "A smaller run.time_step reduces the difference."
     return (
-        f"{pair.name}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time step "
-        f"of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
+        f"{name_of(pair)}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time "
+        f"step of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"
     )
 
 

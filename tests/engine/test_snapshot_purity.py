@@ -5,7 +5,7 @@ import pytest
 from resume.runs import complex_scene, files_of, last_state
 from sheared_scenes import sheared_gas
 
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.simulation import Simulation
 
 ALL = frozenset({"particles", "contacts", "walls", "totals"})
@@ -13,7 +13,7 @@ ALL = frozenset({"particles", "contacts", "walls", "totals"})
 
 def run(scene, out, take):
     """Files, last checkpoint and warnings of a run; `take` is called with the simulation every 0.5 ms."""
-    observer = every(5e-4, lambda snapshot: take(simulation), {"walls"})
+    observer = on_interval(5e-4, lambda snapshot: take(simulation), {"walls"})
     simulation = Simulation(scene, out=out, observers=[observer])
     simulation.run()
     simulation.free()

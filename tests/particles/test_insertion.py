@@ -8,7 +8,7 @@ import pytest
 from particles.scenes import UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
-from granflow.particles.generate import Inserter, inserters
+from granflow.particles.insertion import Inserter, inserters
 from granflow.particles.resolve import resolve_scene
 
 REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}

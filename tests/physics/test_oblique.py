@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from granflow.studies.paper import oblique
+from granflow.studies.paper.oblique_figure import oblique_figure
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +148,7 @@ def test_large_heavy_sphere_acts_as_a_rigid_plate(run):
 
 
 def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
-    figure_data = oblique.oblique_figure(run)
+    figure_data = oblique_figure(run)
     assert len(figure_data.deviations) == 10
     assert all(each.is_within_target and each.target == 1e-3 for each in figure_data.deviations)
     pytest.importorskip("matplotlib")

@@ -12,6 +12,7 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
+from granflow.studies.compare.paraview import write_script
 from granflow.studies.compare.report import compare
 from granflow.studies.compare.summary import densest_stage
 from granflow.studies.compare.variants import law_names, variants_of
@@ -140,12 +141,21 @@ def test_paraview_script_names_every_run(found):
     assert all(repr(run.variant.key) in text for run in comparison.runs)
 
 
+def test_paraview_script_accepts_any_title(tmp_path):
+    run = SimpleNamespace(variant=SimpleNamespace(key="zhou", title="zhou"), stopped="")
+    scene = head_on().model_copy(update={"title": 'A "quoted" \\user """'})
+    write_script(tmp_path, scene, [run], 1.0)
+    text = (tmp_path / "side_by_side.py").read_text(encoding="utf-8")
+    assert compile(text, "side_by_side.py", "exec").co_consts[0].startswith("A 'quoted' \\user ''': zhou, from left")
+
+
 def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
-    from granflow.studies.compare.drawing import draw_all
+    from granflow.studies.compare.drawing import drawings
+    from granflow.studies.figures import write_figures
 
-    assert draw_all(tmp_path, found[0].runs, None, {}) == ["course", "energies", "contacts"]
-    assert len(list(tmp_path.glob("*.png"))) == 3
+    assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
+    assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from studies.test_compare import MASS_EFF, SPEED, duration, head_on, overlap_max, spring
 
-from granflow.engine import backend as backends
 from granflow.studies.compare.collisions import subject_of, sweep_columns, sweeps_of
 from granflow.studies.compare.spring_assessment import assess_collisions
 from granflow.studies.compare.variants import variants_of
@@ -18,10 +17,8 @@ FLOOR = 0.01 * SPEED
 def columns(taichi_f64):
     scene = head_on()
     subject = subject_of(scene, REFERENCE)
-    backend = backends.start("cpu", "f64", 2)
-    return sweep_columns(
-        subject, sweeps_of(scene, subject, variants_of(scene, ["linear"], REFERENCE), backend, ["fine"])
-    )
+    sweeps = sweeps_of(scene, subject, variants_of(scene, ["linear"], REFERENCE), steps=["fine"])
+    return sweep_columns(subject, sweeps)
 
 
 def of_law(columns, law, name):

@@ -43,8 +43,9 @@ def plans(directory, *overrides):
     """Plans of all variants by name."""
     path = directory / "beads.yaml"
     path.write_text(TEXT)
-    base = plan_for(load(path, overrides))
-    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(base)}
+    scene = load(path, overrides)
+    base = plan_for(scene)
+    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(scene, base)}
 
 
 @pytest.mark.parametrize(
@@ -122,7 +123,6 @@ def test_particle_size_is_no_feature(tmp_path):
 
 def measured(directory):
     """Result of a short run of the study, and the initial particle positions of every variant."""
-    from granflow.engine.host_copy import copy_to_host
     from granflow.studies.feature_cost import measure
     from granflow.studies.feature_cost.report import cost_rows, write_feature_costs
 
@@ -130,10 +130,9 @@ def measured(directory):
     path.write_text(TEXT)
     positions, restore = [], measure.restore
 
-    def restore_and_sample(engine, *others):
-        restore(engine, *others)
-        copied = copy_to_host(engine.state, ("id", "position"))
-        positions.append(copied["position"][np.argsort(copied["id"])].tolist())
+    def restore_and_sample(simulation, *others):
+        restore(simulation, *others)
+        positions.append(simulation.snapshot().particles["position"].tolist())
 
     measure.restore = restore_and_sample
     scene = load(path)

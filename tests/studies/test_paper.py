@@ -5,19 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from granflow.engine import backend
+from granflow.studies.head_on import collide_all
 from granflow.studies.paper import accuracy, comparison, loops, residual, velocity
 from granflow.studies.paper.cases import PAPER_CASES, small_soft_case
-from granflow.studies.paper.head_on_collisions import collide_all
 from granflow.studies.paper.thornton import thornton_restitution
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
 SPEEDS = np.array([0.01, 0.3, 10.0])
-
-
-@pytest.fixture(scope="module")
-def device(taichi_f64):
-    return backend.start("cpu", "f64", 2)
 
 
 def root_of_equation_8(e):
@@ -59,8 +53,8 @@ def hertz_numbers(case):
     return 4.0 / 3.0 * modulus * np.sqrt(0.5 * radius), 0.5 * mass
 
 
-def test_residual_overlap_and_duration_match_figure_1_and_the_table(device):
-    outcomes = residual.residual_run(device, RESTITUTIONS)
+def test_residual_overlap_and_duration_match_figure_1_and_the_table(taichi_f64):
+    outcomes = residual.residual_run(RESTITUTIONS)
     exact = np.array([1.0 - root_of_equation_8(e) for e in RESTITUTIONS])
     assert outcomes.overlap_residual / outcomes.overlap_max == pytest.approx(exact, abs=2e-5)
     assert outcomes.restitution == pytest.approx(RESTITUTIONS, rel=1e-3)
@@ -83,9 +77,9 @@ def test_error_of_the_closed_form_is_within_the_bound_of_figure_2():
     assert 0.009 < figure_data.deviations[0].largest < 0.0108
 
 
-def test_restitution_duration_and_spring_match_figures_3_to_5(device):
+def test_restitution_duration_and_spring_match_figures_3_to_5(taichi_f64):
     """e(v), T(v) and the spring of Eq. 19 on both steels, at 200 steps for the shortest collision."""
-    columns = velocity.velocity_columns(velocity.velocity_run(device, SPEEDS), SPEEDS)
+    columns = velocity.velocity_columns(velocity.velocity_run(SPEEDS), SPEEDS)
     constants = (3.0432, 0.540, 0.310e9, 8030.0), (0.1418, 0.3114, 2.03e9, 7830.0)
     for case, (sigma, psi, strength, density) in zip(PAPER_CASES, constants, strict=True):
         of_case = columns["material"] == case.name
@@ -103,18 +97,18 @@ def test_restitution_duration_and_spring_match_figures_3_to_5(device):
     assert all(deviation.is_within_target for figure_data in figures for deviation in figure_data.deviations)
 
 
-def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(device):
+def test_spring_of_a_small_soft_particle_matches_the_papers_estimate(taichi_f64):
     """R 1e-4 m, E 1e8 Pa, 1e3 kg/m3, 1 to 10 m/s: of the order of 1e3 N/m."""
     speeds = np.array([1.0, 10.0])
-    outcomes = velocity.estimate_run(device, speeds)
+    outcomes = velocity.estimate_run(speeds)
     k, mass = hertz_numbers(small_soft_case())
     largest = (1.25 * mass * speeds**2 / k) ** 0.4
     assert velocity.spring_of(outcomes) == pytest.approx(mass * speeds**2 / largest**2, rel=1e-3)
     assert np.all(np.abs(np.log10(velocity.spring_of(outcomes)) - 3.0) < 0.5)
 
 
-def test_force_overlap_loops_match_equation_4(device):
-    outcomes = loops.loop_run(device)
+def test_force_overlap_loops_match_equation_4(taichi_f64):
+    outcomes = loops.loop_run()
     figure_data = loops.loop_figure(outcomes)
     for index, e in enumerate(loops.RESTITUTIONS):
         of_case = figure_data.columns["restitution"] == e
@@ -131,21 +125,21 @@ def test_force_overlap_loops_match_equation_4(device):
     assert 0.0 < outcomes.restitution[0] < 0.03
 
 
-def test_accuracy_at_200_steps_is_within_its_target(device, monkeypatch):
+def test_accuracy_at_200_steps_is_within_its_target(taichi_f64, monkeypatch):
     monkeypatch.setattr(accuracy, "RESTITUTIONS", np.array([0.1, 0.4, 1.0]))
     monkeypatch.setattr(accuracy, "PHASES", 4)
-    figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run(device))
+    figure_data = accuracy.accuracy_figure(*accuracy.accuracy_run())
     assert all(deviation.is_within_target for deviation in figure_data.deviations)
     at_steps = {int(steps): figure_data.columns["duration_deviation"][figure_data.columns["steps_per_contact"] == steps]
           for steps in (50, 400)}  # fmt: skip
     assert np.all(at_steps[400] < at_steps[50] / 8.0**1.5)
 
 
-def test_contact_end_is_interpolated_within_a_step(device):
+def test_contact_end_is_interpolated_within_a_step(taichi_f64):
     """Duration and residual overlap do not depend on the position of the first contact within a step."""
     case = PAPER_CASES[0]
     pairs = [case.head_on(0.6, 1.0)] * 12
-    outcomes = collide_all("zhou", pairs, case.duration(0.6, 1.0) / 100.0, device)
+    outcomes = collide_all("zhou", pairs, case.duration(0.6, 1.0) / 100.0)
     assert np.ptp(outcomes.duration) < 0.02 * outcomes.time_step
     assert np.ptp(outcomes.overlap_residual / outcomes.overlap_max) < 2e-4
 
@@ -167,9 +161,9 @@ def test_thornton_restitution_follows_from_the_energies(ratio):
 
 
 @pytest.mark.slow
-def test_every_contact_model_reaches_the_restitution_of_equation_12(device):
+def test_every_contact_model_reaches_the_restitution_of_equation_12(taichi_f64):
     """At the reference velocity every contact model of the catalog has the restitution of Eq. 12 for both steels."""
-    found = comparison.compare(device, np.array([comparison.REFERENCE_VELOCITY]))
+    found = comparison.compare(np.array([comparison.REFERENCE_VELOCITY]))
     assert not found.refused
     wanted = [np.exp(-3.0432 / (np.sqrt(0.93e9 / 8030.0) - 1.0) ** 0.54),
               np.exp(-0.1418 / (np.sqrt(6.09e9 / 7830.0) - 1.0) ** 0.3114)]  # fmt: skip

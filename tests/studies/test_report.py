@@ -10,12 +10,13 @@ import pytest
 from studies.test_page import BalanceParser
 
 from granflow.cli.main import main
-from granflow.studies.page import Page, Plot, Section, html_of
+from granflow.studies.page import environment, page_text
+from granflow.studies.report import sections as report_sections
 from granflow.studies.report.log import explanation, read_log, sessions, warnings_and_errors
 from granflow.studies.report.pictures import _caption
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.record import read_record
-from granflow.studies.report.report import page_of
+from granflow.studies.report.report import report_text
 from granflow.studies.report.series import MOST_POINTS, SeriesColumn, TimeSeriesTable, groups_of, read_series, thinned
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
@@ -64,7 +65,7 @@ def run(tmp_path):
 
 def text_of(directory, script="/* plotly */"):
     """Text of the page; asserts that its HTML is balanced."""
-    html = html_of(page_of(read_record(directory), script, None))
+    html = report_text(read_record(directory), script, None)
     parser = BalanceParser()
     parser.feed(re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL))
     assert not parser.open
@@ -94,8 +95,7 @@ def test_page_of_a_complete_run_contains_all_results(run):
 
 
 def test_timings_add_up_to_the_wall_clock(run):
-    section = next(each for each in page_of(read_record(run), "", None).sections if each.title == "Timings")
-    assert [row[:3] for row in section.parts[0].rows] == [
+    assert [row[:3] for row in report_sections.timings(read_record(run)).rows] == [
         ("forces", "6.00", "60%"),
         ("compile", "3.00", "30%"),
         ("other", "1.00", "10%"),
@@ -190,15 +190,18 @@ def test_thinned_curve_keeps_peaks_and_ends():
 def test_plot_json_cannot_close_its_script_element():
     group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
     plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
-    assert isinstance(plot, Plot) and plot.figure["data"][0]["x"] == [0.0, 2.0]
+    assert plot.figure["data"][0]["x"] == [0.0, 2.0]
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
-    html = html_of(Page("t", "l", [Section("s", [plot])]))
+    html = environment().get_template("macros.html").module.plot(plot)
     assert html.count("</script>") == 1
-    assert "showSendToCloud: false" in html_of(Page("t", "l", [], script="/* plotly */")), (
-        "the button would upload data"
-    )
+    data = re.search(r'<script type="application/json">(.*?)</script>', html)[1]
+    assert json.loads(data) == plot.figure
     shifts = [each["yshift"] for each in plot.figure["layout"]["annotations"]]
     assert shifts[0] != shifts[1], "names of stages that begin soon after each other overlap"
+
+
+def test_plots_offer_no_upload_of_data():
+    assert "showSendToCloud: false" in page_text("page.html", plotly="/* plotly */")
 
 
 def test_log_yields_sessions_warnings_and_explanations(run):

@@ -85,7 +85,7 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
     from granflow.engine.backend import start
     from granflow.engine.engine import Engine
     from granflow.load import load
-    from granflow.particles.generate import ParticleData
+    from granflow.particles.particle_data import ParticleData
     from granflow.plan.plan import plan_for
 
     with tempfile.TemporaryDirectory() as folder:

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 
 from granflow.contact.material import Solid
-from granflow.engine.backend import Precision
 from granflow.scene.schema.presets import PRESETS
 from granflow.studies.accuracy.exact import EXACT, Exact
+from granflow.studies.head_on import HeadOnCollision
 from granflow.studies.paper.cases import PaperCase
-from granflow.studies.paper.head_on_collisions import HeadOnCollision
 
-PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
+PRECISIONS = ("f64", "mixed", "f32")
 """Precisions of the study, the most accurate first."""
 
 STEPS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 320, 640, 1250, 2500, 5000)

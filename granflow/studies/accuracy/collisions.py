@@ -6,11 +6,7 @@ from time import perf_counter
 
 import numpy as np
 
-from granflow.engine.backend import Backend
-from granflow.engine.engine import Engine
-from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Scene
+from granflow import Plan, plan_for
 from granflow.studies.accuracy.axes import (
     DISTANCE,
     PHASES,
@@ -23,7 +19,8 @@ from granflow.studies.accuracy.axes import (
     kinds_of,
 )
 from granflow.studies.accuracy.exact import end_overlap_ratio
-from granflow.studies.paper.head_on_collisions import FORCES_TO_END, sample, share_to_end, side_by_side
+from granflow.studies.collision_bench import FORCES_TO_END, Collision
+from granflow.studies.head_on import head_on_bench, share_to_end
 
 MAX_FULLY_SAMPLED_STEPS = 200
 """Largest number of steps per collision at which every step is sampled.
@@ -61,73 +58,65 @@ class CollisionResults:
     seconds: np.ndarray
 
 
-class CollisionBench:
+class AccuracyBench:
     """All collisions of one contact model and integrator in one scene; compiled once for all time steps.
 
-    `velocity` (pairs,): approach velocities [m/s]; `pair_ids` (pairs, 2): ids of the particles of each pair. Call
-    `free` after use.
+    `velocity` (pairs,): approach velocities [m/s]. Call `free` after use.
+
+    The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind at
+    its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
     """
 
-    def __init__(self, studied_law: StudiedLaw, integrator: Integrator, backend: Backend) -> None:
-        self.studied_law, self.integrator, self.backend = studied_law, integrator, backend
+    def __init__(
+        self, studied_law: StudiedLaw, integrator: Integrator, precision: str = "f64", threads: int | None = None
+    ) -> None:
+        self.studied_law, self.integrator, self.precision = studied_law, integrator, precision
         self.kinds = kinds_of(studied_law)
         self.velocity = np.repeat([kind.velocity for kind in self.kinds], PHASES)
-        _, self.plan, self.pair_ids = self._planned(FINEST)
-        self.engine = Engine(self.plan, backend)
-        self.engine.set_walls([], [])
+        time_step = common_duration() / FINEST
+        self.bench = head_on_bench(
+            studied_law.normal, collisions_of(self.kinds), first_contact_times(self.kinds, time_step), time_step,
+            precision=precision, threads=threads, contact_x=DISTANCE, velocity_max=min(VELOCITIES),
+            numerics={"skin": SKIN * min(kind.diameter for kind in self.kinds)},
+        )  # fmt: skip
+
+    @property
+    def plan(self) -> Plan:
+        """Plan of the initial scene."""
+        return self.bench.plan
 
     def run(self, steps: float, repeats: int = REPEATS) -> CollisionResults:
         """Run the collisions with `steps` time steps per duration, then time them `repeats` times.
 
         Raises SceneError if that time step is unstable.
         """
-        scene, plan, _ = self._planned(steps)
-        self._use_time_step(plan)
-        numbers, samples = self._sample_contacts(scene, steps)
-        seconds = np.array([self._timed(scene, steps) for _ in range(repeats)])
-        found = [self._measured(numbers, samples[:, :, pair], pair) for pair in range(len(self.velocity))]
+        time_step, scene = common_duration() / steps, self.bench.scene
+        plan_for(scene.model_copy(update={"run": scene.run.model_copy(update={"time_step": time_step})}))
+        times = first_contact_times(self.kinds, time_step)
+        collisions = [
+            replace(each, first_contact=float(time))
+            for each, time in zip(self.bench.collisions, times, strict=True)
+        ]  # fmt: skip
+        numbers, samples = self._sample_contacts(collisions, time_step, steps)
+        seconds = np.array([self._timed(collisions, steps) for _ in range(repeats)])
+        found = [self._measured(numbers, samples[:, :, pair], pair, time_step) for pair in range(len(self.velocity))]
         restitution, duration, overlap = np.array(found).T.reshape(3, len(self.kinds), PHASES)
-        return CollisionResults(steps, plan.time_step, restitution, duration, overlap, seconds)
+        return CollisionResults(steps, time_step, restitution, duration, overlap, seconds)
 
     def free(self) -> None:
         """Free the device memory."""
-        self.engine.free()
+        self.bench.free()
 
-    def _planned(self, steps: float) -> tuple[Scene, Plan, np.ndarray]:
-        """Scene with a time step, its plan, and the ids (pairs, 2) of the two particles of each pair.
-
-        The plan assumes the largest velocity for all pairs. Here particles collide with their own kind only, each kind
-        at its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
-        """
-        time_step = common_duration() / steps
-        skin = SKIN * min(kind.diameter for kind in self.kinds)
-        scene, pair_ids = side_by_side(
-            self.studied_law.normal, collisions_of(self.kinds), first_contact_times(self.kinds, time_step), time_step,
-            self.backend.precision, middle=DISTANCE, velocity_max=min(VELOCITIES),
-            numerics={"skin": skin},
-        )  # fmt: skip
-        return scene, plan_for(scene, on_gpu=not self.backend.on_cpu), pair_ids
-
-    def _use_time_step(self, plan: Plan) -> None:
-        """Change the time step. It is a kernel argument, so that no kernel is recompiled."""
-        self.plan = replace(self.plan, step=plan.step)
-        self.engine.state.clock.change(plan.time_step)
-
-    def _start(self, scene: Scene) -> None:
-        """Reset all particles to their initial state."""
-        self.engine.state.count = 0
-        self.engine.insert(initial_particles(scene))
-        self.engine.refresh()
-
-    def _sample_contacts(self, scene: Scene, steps: float) -> tuple[np.ndarray, np.ndarray]:
+    def _sample_contacts(
+        self, collisions: list[Collision], time_step: float, steps: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Sampled steps (samples,), and overlap [m], overlap rate [m/s] and force [N] (samples, 3, pairs)."""
-        self._start(scene)
+        self.bench.restart(collisions, time_step)
         numbers, samples, now = self._sampled_steps(steps), [], 0
         for number in numbers:
-            if number > now:
-                self.engine.advance(number - now)
+            self.bench.simulation.step(number - now)
             now = number
-            samples.append(sample(self.engine, self.pair_ids))
+            samples.append(self.bench.sample())
         return np.array(numbers), np.array(samples)
 
     def _sampled_steps(self, steps: float) -> list[int]:
@@ -143,15 +132,17 @@ class CollisionBench:
         near = {event + k for event in events for k in range(-SAMPLES_AROUND, SAMPLES_AROUND + 1)}
         return sorted({0, *near, last})
 
-    def _timed(self, scene: Scene, steps: float) -> float:
+    def _timed(self, collisions: list[Collision], steps: float) -> float:
         """Wall time of one collision [s]: that of all simultaneous collisions, divided by their number."""
-        self._start(scene)
+        self.bench.restart(collisions)
         whole = ceil(steps) + 1
         began = perf_counter()
-        self.engine.advance(whole)
+        self.bench.simulation.step(whole)
         return (perf_counter() - began) * steps / whole / len(self.velocity)
 
-    def _measured(self, numbers: np.ndarray, samples: np.ndarray, pair: int) -> tuple[float, float, float]:
+    def _measured(
+        self, numbers: np.ndarray, samples: np.ndarray, pair: int, time_step: float
+    ) -> tuple[float, float, float]:
         """Restitution, duration [s] and maximum overlap [m] of one pair; e = 0 for a pair that has not separated.
 
         `numbers` (samples,): step numbers; `samples` (samples, 3): overlap [m], overlap rate [m/s], force [N]. The
@@ -170,9 +161,9 @@ class CollisionBench:
             end = numbers[last] + share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
         else:  # free flight from this step on
             missed = (end_ratio * largest - overlap[last + 1]) / -rate[last + 1]
-            end = numbers[last + 1] - missed / self.plan.time_step
+            end = numbers[last + 1] - missed / time_step
         first_contact = (pair % PHASES + 0.5) / PHASES
-        return restitution, float(end - first_contact) * self.plan.time_step, largest
+        return restitution, float(end - first_contact) * time_step, largest
 
 
 def _parabola_max(overlap: np.ndarray) -> float:

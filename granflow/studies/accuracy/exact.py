@@ -4,12 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-
-NODES = 80
-"""Nodes of the Gauss-Legendre quadrature; the integrands are smooth."""
 
 
 @dataclass(frozen=True)
@@ -95,10 +91,11 @@ def _contact_time(oscillator: _Oscillator, begin: float, end: float) -> float:
 
         t = (4/5) int z(s)^(-1/5) ds
 
-    At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth: Gauss-Legendre quadrature with NODES
-    nodes.
+    At first contact z ~ s, and z^(-1/5) ds = (q^5)^(-1/5) 5 q^4 dq is smooth.
     """
-    nodes, weights = leggauss(NODES)
-    q = 0.5 * (nodes + 1.0)
-    z = oscillator.at(begin + (end - begin) * q**5)
-    return float(0.8 * (end - begin) * 0.5 * np.sum(weights * 5.0 * q**4 * z**-0.2))
+    from scipy.integrate import quad
+
+    def integrand(q: float) -> float:
+        return 5.0 * q**4 * float(oscillator.at(begin + (end - begin) * q**5)) ** -0.2
+
+    return 0.8 * (end - begin) * float(quad(integrand, 0.0, 1.0, epsabs=0.0, epsrel=1e-13)[0])

@@ -17,12 +17,6 @@ LOWEST = 1e-9
 HIGHEST = 3.0
 """Upper end of the error axis."""
 
-WORK_HEIGHT = 3.9
-"""Height of the figure of error and wall time [inch]."""
-
-QUANTITY_HEIGHT = 5.6
-"""Height of the figure of all errors [inch]."""
-
 
 def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
     """Unique (contact model, integrator) pairs of the lines, in their order."""
@@ -53,6 +47,13 @@ def _plot(
     )  # fmt: skip
 
 
+def loglog(axes: Any, target: float | None = None, **settings: Any) -> None:
+    """Set logarithmic axes and other `settings`; a dotted line shows the `target` error."""
+    axes.set(xscale="log", yscale="log", **settings)
+    if target is not None:
+        axes.axhline(target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+
+
 def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
     """Draw the restitution error against wall time, and against the time step with fitted slopes.
 
@@ -64,13 +65,11 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
         for line in sorted(lines, key=lambda line: _names(lines).index((line.law, line.integrator))):
             error = np.maximum(line.error("restitution"), LOWEST)
             _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line, lines))
-            work.hlines(
-                error, 1e6 * line.seconds("min"), 1e6 * line.seconds("max"), color="0.8", linewidth=0.5, zorder=0
-            )
+            ends = (1e6 * line.seconds(which) for which in ("min", "max"))
+            work.hlines(error, *ends, color="0.8", linewidth=0.5, zorder=0)
             _plot(steps, line, lines, 1.0 / line.steps, error)
         for axes in (work, steps):
-            axes.set(xscale="log", yscale="log", ylim=(0.3 * LOWEST, HIGHEST))
-            axes.axhline(target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+            loglog(axes, target, ylim=(0.3 * LOWEST, HIGHEST))
         work.set(xlabel="wall time per collision (µs)", ylabel="restitution error", title="(a) work and precision")
         steps.set(xlabel="time step / duration of the collision", title="(b) convergence", xlim=(5e-5, 0.4))
         figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.0)
@@ -89,12 +88,7 @@ def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
                 order = fitted_order(line.steps, line.error(quantity))
                 label = f"{_label(line, exact)}: {order.order:.2f}" if order else _label(line, exact)
                 _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
-            axes.set(
-                xscale="log",
-                yscale="log",
-                ylim=(0.3 * LOWEST, HIGHEST),
-                title=f"({letter}) {QUANTITY_LABELS[quantity]}",
-            )
+            loglog(axes, ylim=(0.3 * LOWEST, HIGHEST), title=f"({letter}) {QUANTITY_LABELS[quantity]}")
             axes.legend(loc="lower right", fontsize=7.0)
         for axes in panels[1]:
             axes.set_xlabel("time step / duration of the collision")

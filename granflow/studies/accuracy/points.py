@@ -10,12 +10,9 @@ from multiprocessing import active_children, get_context
 
 import numpy as np
 
-from granflow.engine.backend import Backend, Precision, start
-from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import pair_cases_of
-from granflow.plan.time_step import shortest_phase
-from granflow.studies.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
-from granflow.studies.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
+from granflow import GranflowError, SceneError
+from granflow.studies.accuracy.axes import PHASES, STEPS, CollisionKind, Integrator, StudiedLaw
+from granflow.studies.accuracy.collisions import REPEATS, AccuracyBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
 """Quantities with an error relative to the exact solution."""
@@ -130,46 +127,38 @@ def worker_process() -> Iterator[ProcessPoolExecutor]:
         process.shutdown(cancel_futures=True)
 
 
-def line_in_process(
-    studied_law: StudiedLaw, integrator: Integrator, precision: Precision, steps: Sequence[float], repeats: int
-) -> tuple[StudyLine, list[str]]:
-    """`measured_line` on one CPU thread, in a process that has not started Taichi with other settings."""
-    return measured_line(studied_law, integrator, start("cpu", precision, 1), steps, repeats)
-
-
 def measured_line(
     studied_law: StudiedLaw,
     integrator: Integrator,
-    backend: Backend,
+    precision: str = "f64",
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
+    threads: int | None = None,
 ) -> tuple[StudyLine, list[str]]:
     """Measure all points of one line; the second result describes the steps rejected as unstable.
 
-    `steps`: numbers of steps per collision; `repeats`: number of timings of each.
+    `steps`: numbers of steps per collision; `repeats`: number of timings of each; `threads`: as for Simulation.
     """
-    bench = CollisionBench(studied_law, integrator, backend)
+    bench = AccuracyBench(studied_law, integrator, precision, threads)
     points: list[StudyPoint] = []
     refused: list[float] = []
     for count in steps:
         try:
-            points += _points(bench, bench.run(count, repeats), backend.precision)
+            points += _points(bench, bench.run(count, repeats))
         except SceneError:
             refused.append(count)
     bench.free()
     descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
-    return StudyLine(
-        studied_law.name, integrator.name, backend.precision, tuple(points)
-    ), descriptions if refused else []
+    return StudyLine(studied_law.name, integrator.name, precision, tuple(points)), descriptions if refused else []
 
 
-def _points(bench: CollisionBench, results: CollisionResults, precision: str) -> list[StudyPoint]:
+def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
     """One point per kind of collision, with errors over the phases (PHASES,) and wall times.
 
     Wall times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
-    shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": precision,
+    shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": bench.precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip
@@ -179,7 +168,7 @@ def _points(bench: CollisionBench, results: CollisionResults, precision: str) ->
         rms = {f"{name}_error": float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
         worst = {f"{name}_error_worst": float(np.max(np.abs(error))) for name, error in errors.items()}
         given = {"restitution": kind.restitution, "velocity": kind.velocity,
-               "share": results.time_step / _phase(bench, kind)}  # fmt: skip
+               "share": results.time_step / _phase(bench, index)}  # fmt: skip
         found.append(StudyPoint(**shared, **given, **rms, **worst))  # type: ignore[arg-type]
     return found
 
@@ -198,11 +187,11 @@ def _errors(results: CollisionResults, kind: CollisionKind, index: int) -> tuple
     )
 
 
-def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
+def _phase(bench: AccuracyBench, index: int) -> float:
     """Shorter of loading and unloading time of a kind of collision [s], by the formula of the plan.
 
     The time of the pair case is scaled with the diameter, to which it is proportional.
     """
-    matching = [case for case in pair_cases_of(bench.plan.scene) if case.pair.restitution == kind.restitution]
-    scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
-    return scaled * kind.diameter
+    kind, group = bench.kinds[index], bench.bench.collisions[index * PHASES].first
+    pair_case = next(each for each in bench.plan.pair_cases if each.name == f"{group}-{group}")
+    return bench.plan.shortest_phase(pair_case, kind.velocity) / (2.0 * pair_case.radius) * kind.diameter

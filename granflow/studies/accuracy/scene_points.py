@@ -11,7 +11,6 @@ from math import inf
 
 import numpy as np
 
-from granflow.engine.backend import Precision
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PRECISIONS
 from granflow.studies.accuracy.points import worker_process
@@ -143,7 +142,7 @@ def measure_scene(
     full: bool = False,
     report: Callable[[str], None] = lambda text: None,
     shares: Sequence[float] = SHARES,
-    precisions: Sequence[Precision] = PRECISIONS,
+    precisions: Sequence[str] = PRECISIONS,
 ) -> SceneStudy:
     """Run the scene with every time step and precision, the finest first.
 

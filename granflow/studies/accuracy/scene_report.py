@@ -7,25 +7,14 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.studies.accuracy.figures import LINE_STYLES
+from granflow.studies.accuracy.figures import LINE_STYLES, loglog
 from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, ScenePoint, SceneStudy
-from granflow.studies.figures import COLORS, draw_to, require_plotting, write_columns
-from granflow.studies.page import Page, PageTable, Picture, Section, write_page
-
-PAGE, POINTS, FIGURE = "accuracy.html", "accuracy.csv", "accuracy.png"
-"""Names of page, CSV file and figure."""
-
-HEIGHT = 3.9
-"""Height of the figure [inch]."""
+from granflow.studies.figures import COLORS, Drawing
+from granflow.studies.page import write_study
+from granflow.studies.tables import PageTable, percent
 
 LOWEST = 1e-7
 """Smaller errors are drawn at this value."""
-
-
-LEAD = (
-    "Accuracy against cost in this scene: the same run with several time steps and seeds, compared with the "
-    "finest time step."
-)
 
 
 def scene_recommendation(study: SceneStudy) -> str:
@@ -48,7 +37,7 @@ def noise_sentence(study: SceneStudy) -> str:
     """Spread over the seeds, and the number of errors above the noise."""
     significant = [point.errors[name] > study.noise[name] for point in study.points if not point.stopped for name in
             study.quantities]  # fmt: skip
-    spreads = ", ".join(f"{_label(name)} {_percent(spread)}" for name, spread in study.spread.items())
+    spreads = ", ".join(f"{_label(name)} {percent(spread)}" for name, spread in study.spread.items())
     return (
         f"Granular flow is chaotic. Standard deviation over {study.seed_count} seeds with the finest time step: "
         f"{spreads}. Errors of these quantities above the "
@@ -61,13 +50,6 @@ def _label(name: str) -> str:
     """Display name of a quantity, with its flow meter."""
     kind, _, meter = name.partition(".")
     return kind.replace("_", " ") + (f", {meter}" if meter else "")
-
-
-def _percent(value: float) -> str:
-    """A fraction in percent; small values as powers of ten, without unit."""
-    if value == 0.0:
-        return "0"
-    return f"{100.0 * value:.2g} %" if value >= 1e-6 else f"{value:.0e}".replace("-", "−")
 
 
 def scene_heads(study: SceneStudy) -> tuple[str, ...]:
@@ -91,10 +73,10 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
     errors = []
     for name in study.quantities:
         below = point.errors[name] <= study.noise[name]
-        errors.append(_percent(point.errors[name]) + (" n" if below else ""))
+        errors.append(percent(point.errors[name]) + (" n" if below else ""))
     median, least, most = point.cost
     return (
-        *first, _percent(point.restitution_error), _percent(point.errors[ENERGY_ERROR]), *errors,
+        *first, percent(point.restitution_error), percent(point.errors[ENERGY_ERROR]), *errors,
         f"{median:.3g} ({least:.3g}–{most:.3g})", "yes" if study.within_target(point) else "no",
     )  # fmt: skip
 
@@ -122,17 +104,18 @@ def write_scene(out: Path, study: SceneStudy) -> None:
 
     Raises GranflowError at the end if matplotlib is not installed.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    write_columns(out / POINTS, scene_columns(study))
-    missing: GranflowError | None = None
-    try:
-        require_plotting()
-        draw_to(out / FIGURE, draw_scene(study), HEIGHT)
-    except GranflowError as error:
-        missing = error
-    write_page(_page(out, study, drawn=missing is None), out / PAGE)
-    if missing is not None:
-        raise missing
+    missing = write_study(
+        out / "accuracy.html",
+        "accuracy_scene.html",
+        tables={"accuracy.csv": scene_columns(study)},
+        figures={"accuracy.png": Drawing(draw_scene(study), 3.9)},
+        study=study,
+        recommendation=scene_recommendation(study),
+        noise=noise_sentence(study),
+        errors=PageTable(scene_heads(study), scene_rows(study)),
+    )
+    if missing:
+        raise GranflowError(missing)
 
 
 def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
@@ -141,63 +124,29 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
     def draw(figure: Any) -> None:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
-            for precision, (style, marker) in LINE_STYLES.items():
-                _draw_errors(left, right, study, name, precision, color, style, marker)
-        for axes, title, x in (
-            (left, "(a) restitution and energy budget", "s"),
-            (right, "(b) bed quantities and their noise", "s"),
-        ):
-            axes.set(xscale="log", yscale="log", title=title, xlabel=f"wall time ({x} per simulated s)")
-            axes.axhline(study.target, color="0.5", linewidth=0.7, linestyle=(0, (1, 2)))
+            for precision in LINE_STYLES:
+                _draw_errors(right if name in study.quantities else left, study, name, precision, color)
+        loglog(left, study.target, title="(a) restitution and energy budget", ylabel="relative error")
+        loglog(right, study.target, title="(b) bed quantities and their noise")
+        for axes in (left, right):
+            axes.set_xlabel("wall time (s per simulated s)")
             axes.xaxis.set_minor_formatter("")
             axes.legend(loc="best", fontsize=7.0)
-        left.set_ylabel("relative error")
 
     return draw
 
 
-def _draw_errors(
-    left: Any, right: Any, study: SceneStudy, name: str, precision: str, color: str, style: str, marker: str
-) -> None:
+def _draw_errors(axes: Any, study: SceneStudy, name: str, precision: str, color: str) -> None:
     """Plot one error of one precision against wall time; thin line: noise in double precision."""
     points = [p for p in study.points if p.precision == precision and not p.stopped]
     if not points:
         return
-    axes = right if name in study.quantities else left
     errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
     shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
     if shown:
+        style, marker = LINE_STYLES[precision]
         label = f"{'energy budget' if name == ENERGY_ERROR else _label(name)}, {precision}"
         line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
         axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
     if precision == "f64" and name in study.quantities:
         axes.axhline(study.noise[name], color=color, linewidth=0.6, alpha=0.6)
-
-
-def _page(out: Path, study: SceneStudy, drawn: bool) -> Page:
-    """HTML page with recommendation, noise, figure, table and method."""
-    caption = (
-        "Errors relative to the finest time step (restitution: relative to the target of each pair; energy budget: "
-        "relative to the energy throughput); n: below the noise."
-    )
-    parts: list[str | PageTable | Picture] = [scene_recommendation(study), noise_sentence(study)]
-    if drawn:
-        caption_text = (
-            "Relative errors against wall time. (a) Restitution of the scene's pairs and the energy budget. (b) "
-            "Quantities of the bed; thin lines: noise of each quantity, below which errors are not significant. "
-            f"Dotted: {100.0 * study.target:g} %."
-        )
-        parts.append(Picture(out / FIGURE, caption_text, (FIGURE, POINTS)))
-    parts.append(PageTable(caption, scene_heads(study), scene_rows(study)))
-    stopped = [f"{p.precision}, time_step_fraction {p.share:g}: {p.stopped}" for p in study.points if p.stopped]
-    method = (
-        f"{study.seed_count} seeds each, {study.particle_count} particles. Restitution: largest error of any "
-        "pair of materials, over phases of first contact, for velocities from a tenth of the largest, as measured by "
-        "`granflow restitution`. Center height: height of the center of mass above the bottom of the domain. Center "
-        "height and coordination number are averages over the run. Mass flow: mean while the middle half of the mass "
-        "passes. Wall time: neighbor list, forces and integration, after compilation; median, minimum and maximum "
-        "over the seeds."
-    )
-    return Page(f"Error against run time: {study.title}", LEAD, [
-        Section("Work and precision", parts), Section("How this was computed", [method, *stopped]),
-    ])  # fmt: skip

@@ -7,15 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.errors import RunError, SceneError
-from granflow.load import load as load_scene
-from granflow.observers.build import stage_durations
-from granflow.observers.interval import on_interval
-from granflow.plan.plan import pair_cases_of, plan_for
-from granflow.plan.time_step import shortest_phase
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
-from granflow.snapshot import Snapshot
+from granflow import RunError, Scene, SceneError, Simulation, Snapshot, load_scene, on_interval, plan_for
 from granflow.studies.restitution import QUICK_VELOCITIES
 from granflow.studies.restitution import measure as measure_restitution
 
@@ -98,7 +90,7 @@ def phase_of(scene: Scene) -> tuple[float, float]:
     At the maximum impact velocity of the plan.
     """
     plan = plan_for(scene)
-    phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in pair_cases_of(scene))
+    phase = min(plan.shortest_phase(pair_case, plan.velocity_max) for pair_case in plan.pair_cases)
     return phase, plan.time_step / phase
 
 
@@ -137,7 +129,7 @@ def run_task(task: SceneTask) -> RunOutcome:
     """
     scene = task.scene()
     means = _RunMeans(scene)
-    total_duration = sum(duration for _, duration in stage_durations(scene))
+    total_duration = longest_run(scene)
     interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
         simulation = Simulation(scene, observers=[on_interval(interval, means.update, ("particles", "totals"))])
@@ -163,6 +155,11 @@ def restitution_error(task: SceneTask) -> float:
     fastest = max(row.velocity for row in rows)
     slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
     return max(abs(row.difference) for row in rows if row.velocity >= slowest)
+
+
+def longest_run(scene: Scene) -> float:
+    """Longest run time of a scene [s]: the sum over its stages."""
+    return sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
 
 
 def seeds_of(scene: Scene, count: int) -> list[Any]:

@@ -8,9 +8,7 @@ from math import inf
 
 import numpy as np
 
-from granflow.observers.base import CONTACTS
-from granflow.scene.schema.scene import Scene
-from granflow.snapshot import Snapshot
+from granflow import Scene, Snapshot
 from granflow.studies.compare.contact_durations import ContactFollower, FollowedContacts
 
 SURFACE_PERCENTILE = 95.0
@@ -113,7 +111,7 @@ class ContactBursts:
     `followed`: the observed contacts.
     """
 
-    wants = frozenset({CONTACTS})
+    wants = frozenset({"contacts"})
 
     def __init__(self, times: list[list[float]], spacing: float) -> None:
         self.followed = FollowedContacts()

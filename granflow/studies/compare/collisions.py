@@ -8,16 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
-from granflow.contact.spring import MIN_VELOCITY_SHARE
-from granflow.engine.backend import Backend
-from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import pair_material
-from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.scene import Scene
-from granflow.studies.compare.variants import LawVariant, restitution_for
-from granflow.studies.paper.head_on_collisions import HeadOnCollision, Outcomes, collide_all
+from granflow.studies.collision_bench import sphere_mass
+from granflow.studies.compare.variants import LawVariant, automatic_plan, restitution_for
+from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
 """Range of velocities about the reference velocity in decades, and velocities per decade."""
@@ -90,14 +86,14 @@ def subject_of(scene: Scene, reference_velocity: float) -> CollisionSubject | No
 
     `reference_velocity` [m/s]. Without a pair of the material with itself, another pair of the material is used.
     """
-    group = next(iter(scene.particles.values()))
+    plan, (name, group) = automatic_plan(scene), next(iter(scene.particles.items()))
     keys = [scene.pair_key(group.material, group.material), *(key for key in scene.pairs if group.material in key)]
     key = next(key for key in keys if key in scene.pairs)
-    pair = pair_material(scene, *key.split("-"))
+    pair = plan.pair(*key.split("-"))
     if pair.restitution is None:
         return None
-    diameter = float(np.mean(diameter_range(group)))
-    mass = np.pi / 6.0 * diameter**3 * scene.materials[group.material].density
+    diameter = float(np.mean(plan.group_diameters[name]))
+    mass = sphere_mass(0.5 * diameter, scene.materials[group.material].density)
     return CollisionSubject(group.material, key, pair, diameter, 0.5 * mass, reference_velocity)
 
 
@@ -105,7 +101,7 @@ def sweeps_of(
     scene: Scene,
     subject: CollisionSubject,
     variants: Sequence[LawVariant],
-    backend: Backend,
+    arch: str = "cpu",
     steps: Sequence[str] = tuple(STEPS),
 ) -> list[LawSweep]:
     """Run the collisions with every contact model, with a fine time step and one from the reference velocity.
@@ -121,9 +117,8 @@ def sweeps_of(
         outcomes, refused = {}, {}
         for name in steps:
             try:
-                outcomes[name] = collide_all(
-                    variant.normal, _collisions(scene, subject, variant), time_steps[name], backend
-                )
+                collisions = _collisions(scene, subject, variant)
+                outcomes[name] = collide_all(variant.normal, collisions, time_steps[name], arch, scene.run.precision)
             except (GranflowError, SceneError, ValueError) as error:
                 refused[name] = str(error)
         found.append(LawSweep(variant, outcomes, refused))
@@ -190,4 +185,4 @@ def deviation(columns: dict[str, np.ndarray], law: str, step: str, over_referenc
 
 def floor_velocity(subject: CollisionSubject) -> float:
     """Velocity [m/s] below which Eq. 19 per contact uses the spring of this velocity, as in the scene."""
-    return MIN_VELOCITY_SHARE * float(subject.velocities.max())
+    return theory.MIN_VELOCITY_SHARE * float(subject.velocities.max())

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from granflow.snapshot import Snapshot
+from granflow import Snapshot
 
 KEY_BASE = 2**32
 """Exceeds every id, so that two ids combine into one integer key."""

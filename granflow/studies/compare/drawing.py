@@ -1,7 +1,6 @@
 """Figures of a comparison."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from granflow.studies.compare.bed_statistics import FORCE_EDGES
 from granflow.studies.compare.collisions import CollisionSubject, floor_velocity
 from granflow.studies.compare.runs import VariantRun
 from granflow.studies.compare.summary import densest_stage
-from granflow.studies.figures import COLORS, MARKERS, draw_to
+from granflow.studies.figures import COLORS, MARKERS, Drawing
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
 """Line styles by index of the run."""
@@ -25,24 +24,21 @@ ENERGIES = {
 """Columns of timeseries.csv that are summed to each curve [J]."""
 
 
-def draw_all(
-    out: Path, runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
-) -> list[str]:
-    """Write all PNG files; returns their names without suffix.
+def drawings(
+    runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
+) -> dict[str, Drawing]:
+    """All figures by file name.
 
-    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted. Raises
-    GranflowError without matplotlib.
+    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted.
     """
-    figures: dict[str, tuple[Callable[[Any], None], float]] = {
-        "course": (lambda figure: draw_course(figure, runs), 5.2),
-        "energies": (lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
-        "contacts": (lambda figure: draw_contacts(figure, runs), 3.1),
+    figures = {
+        "course.png": Drawing(lambda figure: draw_course(figure, runs), 5.2),
+        "energies.png": Drawing(lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
+        "contacts.png": Drawing(lambda figure: draw_contacts(figure, runs), 3.1),
     }
     if subject is not None and collisions:
-        figures["collisions"] = (lambda figure: draw_collisions(figure, subject, collisions, runs), 5.4)
-    for name, (draw, height) in figures.items():
-        draw_to(out / f"{name}.png", draw, height)
-    return list(figures)
+        figures["collisions.png"] = Drawing(lambda figure: draw_collisions(figure, subject, collisions, runs), 5.4)
+    return figures
 
 
 def _style(number: int) -> dict[str, Any]:

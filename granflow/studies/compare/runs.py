@@ -10,18 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow import (
+    GranflowError,
+    Plan,
+    RunError,
+    Scene,
+    SceneError,
+    Simulation,
+    on_interval,
+    steady_flow,
+)
 from granflow.contact import theory
-from granflow.errors import GranflowError, RunError, SceneError
 from granflow.io.tables import read_table
-from granflow.observers.build import stage_durations
-from granflow.observers.flow_meters import steady_flow
-from granflow.observers.interval import on_interval
-from granflow.plan.plan import Plan, pair_cases_of
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
+from granflow.studies.accuracy.scene_runs import longest_run
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival
-from granflow.studies.compare.variants import LawVariant
+from granflow.studies.compare.variants import LawVariant, automatic_plan
 
 BURSTS = 8
 """Number of bursts of contact samples in a run."""
@@ -96,16 +100,15 @@ def run_variant(
     assert variant.scene is not None
     scene = variant.scene
     heights, forces = BedHeights.of(scene), ForceHistogram()
-    end = min(sum(longest for _, longest in stage_durations(scene)), until or np.inf)
-    spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
-    bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
-    output = scene.output
-    observers = [
-        on_interval(output.timeseries_interval, heights.update),
-        on_interval(output.interval, forces.update, ("contacts",)),
-        bursts_observer,
-    ]
+    end, output = min(longest_run(scene), until or np.inf), scene.output
     try:
+        spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
+        bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
+        observers = [
+            on_interval(output.timeseries_interval, heights.update),
+            on_interval(output.interval, forces.update, ("contacts",)),
+            bursts_observer,
+        ]
         simulation = Simulation(scene, arch=arch, out=out, observers=observers)  # type: ignore[arg-type]
     except SceneError as error:
         return "; ".join(error.problems)
@@ -134,12 +137,9 @@ def run_variant(
 
 
 def hertz_duration(scene: Scene, velocity: float) -> float:
-    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Zhou 2011, Eq.
-
-    13, e = 1).
-    """
+    """Duration [s] of the shortest elastic collision in the scene at an approach velocity [m/s] (Eq. 13, e = 1)."""
     durations = []
-    for pair_case in pair_cases_of(scene):
+    for pair_case in automatic_plan(scene).pair_cases:
         k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
         durations.append(float(theory.duration(1.0, k, pair_case.mass_eff, velocity)))
     return min(durations)

@@ -3,38 +3,50 @@
 Values are stored in SI units and converted for display only.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from granflow.runs.result import readable
 from granflow.studies.compare.runs import VariantRun
+from granflow.visible_text import readable
 
 STRONG = 2.0
 """Multiple of the mean force above which a contact counts as strong."""
+
 MISSING = "–"
 """Cell without a value."""
 
 
-DISPLAY_UNITS = {"time": ("µs", 1e6), "length": ("mm", 1e3), "energy_budget": ("mJ", 1e3), "share": ("%", 1e2)}
-"""Display unit and factor from SI."""
+class Unit(NamedTuple):
+    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless values."""
+
+    si: str
+    shown: str
+    per_si: float
+
+
+SECOND, MICROSECOND, MILLIMETER = Unit("s", "s", 1.0), Unit("s", "µs", 1e6), Unit("m", "mm", 1e3)
+MILLIJOULE, MASS_FLOW = Unit("J", "mJ", 1e3), Unit("kg/s", "kg/s", 1.0)
+NUMBER, PERCENT = Unit("", "", 1.0), Unit("", "%", 1e2)
+
+Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
+"""Name, unit, and function that returns the value of a run in SI units, or nan."""
 
 
 @dataclass(frozen=True)
 class SummaryRow:
     """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
 
-    The first run is the reference of the ratios.
+    The first run is the reference of the ratios. `at_stage`: whether the value refers to the densest stage.
     """
 
     name: str
-    unit: str
+    unit: Unit
     values: tuple[float, ...]
-    display: tuple[str, float] = ("", 1.0)
-    """Display unit and factor from SI; an empty unit for dimensionless quantities."""
     at_stage: bool = False
-    """Whether the value refers to the densest stage."""
 
     @property
     def label(self) -> str:
@@ -60,45 +72,6 @@ def densest_stage(runs: Sequence[VariantRun]) -> str:
     return max(shared or list(ends), key=lambda stage: ends[stage])
 
 
-def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies."""
-    stage = densest_stage(runs)
-    rows = [*_cost(runs), *_flow(runs), *_bed(runs, stage), *_contacts(runs), *_energies(runs)]
-    return [row for row in rows if np.isfinite(row.values).any()]
-
-
-def _row(
-    runs: Sequence[VariantRun], name: str, unit: str, number: Callable[[VariantRun], float], display: str = ""
-) -> SummaryRow:
-    """One row with the value of `number` for each run; `display` is a key of DISPLAY_UNITS or empty.
-
-    `unit`: SI unit of the value.
-    """
-    values = tuple(float(number(run)) for run in runs)
-    return SummaryRow(name, unit, values, DISPLAY_UNITS[display] if display else (unit, 1.0))
-
-
-def _cost(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """Rows on time step, steps and wall time."""
-    return [
-        _row(runs, "time step", "s", lambda run: run.plan.time_step, "time"),
-        _row(runs, "simulated time", "s", lambda run: run.time),
-        _row(runs, "steps needed", "", lambda run: run.step_count),
-        _row(runs, "wall time of steps", "s", lambda run: run.seconds),
-        _row(runs, "wall time per step", "s", lambda run: run.seconds / max(run.step_count, 1), "time"),
-        _row(runs, "compilation", "s", lambda run: run.compile_seconds),
-    ]
-
-
-def _flow(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """Rows on the mass flow rate through each meter."""
-
-    def flow(meter: str) -> Callable[[VariantRun], float]:
-        return lambda run: run.mass_flow(meter)
-
-    return [_row(runs, f"mass flow rate, {meter}", "kg/s", flow(meter)) for meter in runs[0].meters]
-
-
 def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
     """Function that returns the value of a column at the end of a stage; nan if a run did not complete the stage."""
 
@@ -109,55 +82,74 @@ def at_end(stage: str, name: str) -> Callable[[VariantRun], float]:
     return number
 
 
-def _bed(runs: Sequence[VariantRun], stage: str) -> list[SummaryRow]:
-    """Rows on the bed at the end of the densest stage.
-
-    Heights are those of the sample nearest to that time.
-    """
-    when = at_end(stage, "time")
-
-    def height(column: int) -> Callable[[VariantRun], float]:
-        def number(run: VariantRun) -> float:
-            nearest = int(np.argmin(np.abs(run.heights[:, 0] - when(run)))) if np.isfinite(when(run)) else None
-            return float("nan") if nearest is None else float(run.heights[nearest, column])
-
-        return number
-
-    rows = [
-        _row(runs, "end of stage", "s", when),
-        _row(runs, "center of mass", "m", height(1), "length"),
-        _row(runs, "surface", "m", height(2), "length"),
-        _row(runs, "coordination number", "", at_end(stage, "coordination_number")),
-        _row(runs, "mean overlap/radius", "", at_end(stage, "overlap_mean"), "share"),
-        _row(runs, f"contacts above {STRONG:g} <f>", "", lambda run: run.forces.share_above(stage, STRONG), "share"),
-    ]
-    return [replace(row, at_stage=True) for row in rows]
+def _last(name: str, run: VariantRun) -> float:
+    """Last value of a column."""
+    return run.columns[name][-1]
 
 
-def _contacts(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """Rows on the contacts of the complete run."""
-    return [
-        _row(runs, "maximum overlap/radius", "", lambda run: np.nanmax(run.columns["overlap_largest"]), "share"),
-        _row(runs, "median contact duration", "s", lambda run: run.median_duration, "time"),
-    ]
+def _height(stage: str, column: int, run: VariantRun) -> float:
+    """Height [m] in the sample nearest to the end of a stage; nan if a run did not complete the stage."""
+    time = at_end(stage, "time")(run)
+    return run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column] if np.isfinite(time) else float("nan")
 
 
-def _energies(runs: Sequence[VariantRun]) -> list[SummaryRow]:
-    """Rows on the energies at the end of the run; rows of zeros are omitted."""
-    names = {
-        "kinetic energy, end": "kinetic_energy",
-        "lost: plastic": "plastic_dissipation",
-        "lost: friction": "friction_dissipation",
-        "lost: rolling": "rolling_dissipation",
-        "lost: damping": "damping_dissipation",
-    }
+COST: tuple[Quantity, ...] = (
+    ("time step", MICROSECOND, lambda run: run.plan.time_step),
+    ("simulated time", SECOND, lambda run: run.time),
+    ("steps needed", NUMBER, lambda run: run.step_count),
+    ("wall time of steps", SECOND, lambda run: run.seconds),
+    ("wall time per step", MICROSECOND, lambda run: run.seconds / max(run.step_count, 1)),
+    ("compilation", SECOND, lambda run: run.compile_seconds),
+)
+"""Time step, steps and wall time."""
 
-    def last(name: str) -> Callable[[VariantRun], float]:
-        return lambda run: run.columns[name][-1]
+CONTACTS: tuple[Quantity, ...] = (
+    ("maximum overlap/radius", PERCENT, lambda run: np.nanmax(run.columns["overlap_largest"])),
+    ("median contact duration", MICROSECOND, lambda run: run.median_duration),
+)
+"""Contacts of the complete run."""
 
-    rows = [_row(runs, label, "J", last(name), "energy_budget") for label, name in names.items()]
-    error = _row(runs, "energy error, end", "", lambda run: abs(run.columns["energy_error"][-1]), "share")
-    return [*(row for row in rows if any(row.values)), error]
+ENERGIES: tuple[Quantity, ...] = (
+    ("kinetic energy, end", MILLIJOULE, partial(_last, "kinetic_energy")),
+    ("lost: plastic", MILLIJOULE, partial(_last, "plastic_dissipation")),
+    ("lost: friction", MILLIJOULE, partial(_last, "friction_dissipation")),
+    ("lost: rolling", MILLIJOULE, partial(_last, "rolling_dissipation")),
+    ("lost: damping", MILLIJOULE, partial(_last, "damping_dissipation")),
+)
+"""Energies at the end of the run."""
+
+ENERGY_ERROR: Quantity = ("energy error, end", PERCENT, lambda run: abs(run.columns["energy_error"][-1]))
+
+
+def _flow(meter: str) -> Quantity:
+    """Mass flow rate through a meter."""
+    return f"mass flow rate, {meter}", MASS_FLOW, lambda run: run.mass_flow(meter)
+
+
+def _bed(stage: str) -> tuple[Quantity, ...]:
+    """State of the bed at the end of a stage."""
+    return (
+        ("end of stage", SECOND, at_end(stage, "time")),
+        ("center of mass", MILLIMETER, partial(_height, stage, 1)),
+        ("surface", MILLIMETER, partial(_height, stage, 2)),
+        ("coordination number", NUMBER, at_end(stage, "coordination_number")),
+        ("mean overlap/radius", PERCENT, at_end(stage, "overlap_mean")),
+        (f"contacts above {STRONG:g} <f>", PERCENT, lambda run: run.forces.share_above(stage, STRONG)),
+    )
+
+
+def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all zero."""
+
+    def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
+        return [
+            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), at_stage)
+            for name, unit, number in quantities
+        ]
+
+    found = [*rows(COST), *rows(map(_flow, runs[0].meters)), *rows(_bed(densest_stage(runs)), at_stage=True)]
+    found += [*rows(CONTACTS), *(row for row in rows(ENERGIES) if any(row.values)), *rows([ENERGY_ERROR])]
+    return [row for row in found if np.isfinite(row.values).any()]
 
 
 def heads(runs: Sequence[VariantRun]) -> list[str]:
@@ -170,7 +162,7 @@ def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
     """Cells of the table: value of the first contact model, then value and ratio of each other."""
     found = []
     for row in rows:
-        unit, factor = row.display
+        _, unit, factor = row.unit
         first, *others = (factor * value for value in row.values)
         cells = [row.label, unit, _number(first)]
         for value, ratio in zip(others, row.ratios[1:], strict=True):
@@ -184,7 +176,7 @@ def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> d
     laws = [run.variant.key for run in runs]
     return {
         "quantity": np.repeat([row.name for row in rows], len(laws)),
-        "unit": np.repeat([row.unit for row in rows], len(laws)),
+        "unit": np.repeat([row.unit.si for row in rows], len(laws)),
         "law": np.tile(laws, len(rows)),
         "value": np.array([value for row in rows for value in row.values]),
         "ratio": np.array([ratio for row in rows for ratio in row.ratios]),

@@ -7,15 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from granflow import GranflowError, Plan, Scene, SceneError, plan_for
 from granflow.contact.registry import NORMAL_LAWS
-from granflow.errors import GranflowError, SceneError
-from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.plan.plan import pair_material
-from granflow.scene.reader import scene_in
-from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import suggestion_or_list
-from granflow.scene.writer import to_yaml
-from granflow.scene.yaml12 import parse
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
 """Directories of the two variants of the linear contact model: spring per contact, and from the reference velocity."""
@@ -62,7 +56,12 @@ def variant_keys(laws: Sequence[str]) -> list[str]:
 
 def reference_velocity_of(scene: Scene) -> float:
     """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
-    return TYPICAL_SHARE * max_impact_velocity(scene).value
+    return TYPICAL_SHARE * automatic_plan(scene).velocity_max
+
+
+def automatic_plan(scene: Scene) -> Plan:
+    """Plan of a scene with the automatic time step. Raises SceneError if its contact model cannot run it."""
+    return plan_for(scene.model_copy(update={"run": scene.run.model_copy(update={"time_step": "auto"})}))
 
 
 def variants_of(
@@ -76,9 +75,8 @@ def variants_of(
     found = []
     for key, title, normal in _normals(scene, laws, reference_velocity):
         described = _described(scene, normal, reference_velocity, most_particles)
-        text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", with_positions=False)
         try:
-            found.append(LawVariant(key, title, normal, scene_in(text, folder=scene.folder)))
+            found.append(LawVariant(key, title, normal, Scene.from_dict(described, scene.folder)))
         except SceneError as error:
             found.append(LawVariant(key, title, normal, None, "; ".join(error.problems)))
     return found
@@ -134,7 +132,7 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     if kind == "nothing" or given is None or isinstance(given, float):
         return None if kind == "nothing" else given
     if kind == "positive number":
-        return pair_material(scene, *pair.split("-")).restitution_at(velocity)
+        return automatic_plan(scene).pair(*pair.split("-")).restitution_at(velocity)
     return given.model_dump(exclude_none=True)
 
 

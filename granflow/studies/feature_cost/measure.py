@@ -6,21 +6,12 @@ Alternation cancels slow changes of the clock rate and of the load on the machin
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Arch, Backend
-from granflow.engine.engine import Engine
-from granflow.engine.force.contact_statistics import ContactStatistics
-from granflow.engine.limits import abort_message
-from granflow.engine.snapshots import wall_poses
-from granflow.errors import GranflowError, RunError
-from granflow.geometry.motion import Motion
-from granflow.particles.generate import ParticleData
-from granflow.plan.memory_estimate import estimate_memory
-from granflow.plan.plan import Plan
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
+from granflow import GranflowError, ParticleData, Plan, Scene, Simulation, estimate_memory
+from granflow.studies.accuracy.scene_runs import longest_run
 from granflow.studies.feature_cost.variants import FeatureVariant, variants_of
 
 SHARE_BEFORE = 1.0 / 3.0
@@ -41,7 +32,7 @@ class StartState:
 
     particles: ParticleData
     present: tuple[bool, ...]
-    motions: tuple[tuple[Motion, ...], ...]
+    motions: tuple[Any, ...]
     clock: dict[str, float]
 
 
@@ -66,7 +57,7 @@ class FeatureCost:
 
 def feature_costs(
     scene: Scene,
-    arch: Arch = "cpu",
+    arch: str = "cpu",
     threads: int | None = None,
     until: float | None = None,
     report: Callable[[str], None] = lambda text: None,
@@ -81,65 +72,56 @@ def feature_costs(
 
     Raises GranflowError without particles at that time, RunError if a variant aborts.
     """
-    end = SHARE_BEFORE * _longest(scene) if until is None else until
+    end = SHARE_BEFORE * longest_run(scene) if until is None else until
     report(f"Running to {end:.3g} s")
-    simulation = Simulation(scene, arch=arch, threads=threads)
-    simulation.run(until=end)
-    start, base, backend = start_of(simulation), simulation.plan, simulation.engine.state.backend
-    simulation.free()
+    baseline = Simulation(scene, arch=arch, threads=threads)  # type: ignore[arg-type]
+    baseline.run(until=end)
+    start = start_of(baseline)
     if not len(start.particles):
         raise GranflowError(f"At {end:.4g} s the scene contains no particles to time: give another time with --until.")
-    wanted = [each for each in variants_of(base) if only is None or each.name in only]
-    engines = []
+    wanted = [each for each in variants_of(baseline.scene, baseline.plan) if only is None or each.name in only]
+    baseline.free()
+    simulations = []
     for variant in wanted:
         report(f"Compiling {variant.name}")
-        engines.append(engine_for(variant, base, start, backend))
-    report(f"Timing {len(engines)} variants in {rounds} rounds")
-    pairs = list(zip(engines, wanted, strict=True))
+        plan = variant.plan(baseline.plan, on_gpu=arch != "cpu")
+        simulations.append(simulation_for(variant, plan, start, arch, threads))
+    report(f"Timing {len(simulations)} variants in {rounds} rounds")
+    pairs = list(zip(simulations, wanted, strict=True))
     times = np.array([[_nanoseconds(*pair, start) for pair in pairs] for _ in range(rounds + 1)])[1:]
     found = [
-        _feature_cost(variant, engine, times_of_variant, times[:, 0])
-        for (engine, variant), times_of_variant in zip(pairs, times.T, strict=True)
+        _feature_cost(variant, simulation, times_of_variant, times[:, 0])
+        for (simulation, variant), times_of_variant in zip(pairs, times.T, strict=True)
     ]
-    for engine in engines:
-        engine.free()
+    for simulation in simulations:
+        simulation.free()
     return found
 
 
-def _longest(scene: Scene) -> float:
-    """Longest run time of the scene [s]: sum over the stages."""
-    return sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
-
-
 def start_of(simulation: Simulation) -> StartState:
-    """Current particles and walls of a simulation."""
-    engine = simulation.engine
-    particles = simulation.snapshot().particles
-    data = ParticleData(*(particles[name] for name in ParticleData.__dataclass_fields__))
-    present = tuple(pose.present for pose in wall_poses(engine.state).values())
+    """Present particles and walls of a simulation."""
+    engine, snapshot = simulation.engine, simulation.snapshot()
+    data = ParticleData(*(snapshot.particles[name] for name in ParticleData.__dataclass_fields__))
+    present = tuple(pose.present for pose in snapshot.walls.values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
 
 
-def engine_for(variant: FeatureVariant, base: Plan, start: StartState, backend: Backend) -> Engine:
-    """Engine for a variant with the walls of the start state, without particles."""
-    engine = Engine(variant.plan(base, on_gpu=not backend.on_cpu), backend)
-    engine.state.clock.load_state_dict(start.clock)
+def simulation_for(
+    variant: FeatureVariant, plan: Plan, start: StartState, arch: str, threads: int | None
+) -> Simulation:
+    """Simulation of a variant with the particles and the walls of the start state."""
+    particles = _with_materials(start.particles, variant.scene)
+    simulation = Simulation(variant.scene, arch=arch, threads=threads, plan=plan, particles=particles)  # type: ignore[arg-type]
+    simulation.step(1)  # the first step places the walls of the first stage
     count = len(variant.scene.walls)
-    engine.set_walls(start.present[:count], start.motions[:count])
-    return engine
+    simulation.engine.set_walls(start.present[:count], start.motions[:count])
+    return simulation
 
 
-def restore(engine: Engine, variant: FeatureVariant, start: StartState) -> None:
-    """Restore the particles of the start state, with forces and an empty contact history.
-
-    The particles have the materials of the scene of the variant.
-    """
-    engine.state.count = 0
-    for row in (engine.state.neighbors.list_begin, engine.state.neighbors.list_end):
-        row.fill(0)
-    engine.state.clock.load_state_dict(start.clock)
-    engine.insert(_with_materials(start.particles, variant.scene))
-    engine.refresh()
+def restore(simulation: Simulation, variant: FeatureVariant, start: StartState) -> None:
+    """Restore particles and time of the start state, with forces and an empty contact history."""
+    simulation.engine.state.clock.load_state_dict(start.clock)
+    simulation.restart(_with_materials(start.particles, variant.scene))
 
 
 def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
@@ -150,32 +132,29 @@ def _with_materials(particles: ParticleData, scene: Scene) -> ParticleData:
 
 
 def _feature_cost(
-    variant: FeatureVariant, engine: Engine, times_of_variant: np.ndarray, base: np.ndarray
+    variant: FeatureVariant, simulation: Simulation, times_of_variant: np.ndarray, base: np.ndarray
 ) -> FeatureCost:
     """Cost of one variant from its times and those of the baseline (rounds,) [ns]."""
-    plan, contacts = engine.plan, engine.state.built(ContactStatistics).measure()
+    totals, plan = simulation.snapshot().totals, simulation.plan
     return FeatureCost(
         name=variant.name,
         plan=plan,
         nanoseconds=float(np.median(times_of_variant)),
         ratio=tuple(np.percentile(times_of_variant / base, (25, 50, 75)).tolist()),
-        bytes_per_particle=estimate_memory(plan, engine.state.backend.precision).total / plan.particle_capacity,
-        compile_seconds=engine.timing.compile,
-        contacts_per_particle=contacts["contact_count"] / max(engine.state.count, 1),
+        bytes_per_particle=estimate_memory(plan, simulation.scene.run.precision).total / plan.particle_capacity,
+        compile_seconds=simulation.engine.timing.compile,
+        contacts_per_particle=totals["contact_count"] / max(totals["particle_count"], 1.0),
     )
 
 
-def _nanoseconds(engine: Engine, variant: FeatureVariant, start: StartState) -> float:
+def _nanoseconds(simulation: Simulation, variant: FeatureVariant, start: StartState) -> float:
     """Wall time per particle and step [ns] from the start state, without neighbor-list rebuilds.
 
     STEPS_BEFORE steps precede the timing of STEPS steps. Raises RunError if the variant aborts.
     """
-    restore(engine, variant, start)
-    engine.advance(STEPS_BEFORE)
-    rebuild_seconds, began = engine.timing.neighbor_list, perf_counter()
-    engine.advance(STEPS)
-    seconds = perf_counter() - began - (engine.timing.neighbor_list - rebuild_seconds)
-    diagnosis = engine.diagnosis
-    if diagnosis is not None:
-        raise RunError(abort_message(diagnosis, engine.plan, engine.time))
-    return 1e9 * seconds / (STEPS * max(engine.state.count, 1))
+    restore(simulation, variant, start)
+    simulation.step(STEPS_BEFORE)
+    rebuild_seconds, began = simulation.engine.timing.neighbor_list, perf_counter()
+    simulation.step(STEPS)
+    seconds = perf_counter() - began - (simulation.engine.timing.neighbor_list - rebuild_seconds)
+    return 1e9 * seconds / (STEPS * max(simulation.snapshot().totals["particle_count"], 1.0))

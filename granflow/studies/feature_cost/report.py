@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.studies.feature_cost.measure import STEPS, STEPS_BEFORE, FeatureCost
-from granflow.studies.figures import write_columns
+from granflow.studies.tables import attribute_columns, write_columns
 
 HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 """Column headings of `cost_rows`."""
@@ -14,17 +14,14 @@ HEADS = ("", "step ns", "time", "bytes", "compile s", "contacts")
 
 def cost_rows(found: Sequence[FeatureCost]) -> list[tuple[str, ...]]:
     """One row per variant. Step, bytes and contacts are per particle; time is the ratio with its quartiles."""
-    return [
-        (
-            each.name,
-            f"{each.nanoseconds:.1f}",
-            f"{each.ratio[1]:.2f} ({each.ratio[0]:.2f}-{each.ratio[2]:.2f})",
-            f"{each.bytes_per_particle:.0f}",
-            f"{each.compile_seconds:.1f}",
-            f"{each.contacts_per_particle:.2f}",
-        )
-        for each in found
-    ]
+    rows: list[tuple[str, ...]] = []
+    for each in found:
+        low, median, high = each.ratio
+        rows.append((
+            each.name, f"{each.nanoseconds:.1f}", f"{median:.2f} ({low:.2f}-{high:.2f})",
+            f"{each.bytes_per_particle:.0f}", f"{each.compile_seconds:.1f}", f"{each.contacts_per_particle:.2f}",
+        ))  # fmt: skip
+    return rows
 
 
 def remarks(found: Sequence[FeatureCost]) -> list[str]:
@@ -58,9 +55,9 @@ def _line(cells: Sequence[str]) -> str:
 
 def _columns(found: Sequence[FeatureCost]) -> dict[str, np.ndarray]:
     """Columns of feature_cost.csv: one row per variant."""
-    columns = {"variant": np.array([each.name for each in found])}
-    for column, end in enumerate(("low", "median", "high")):
-        columns[f"ratio_{end}"] = np.array([each.ratio[column] for each in found])
-    for name in ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle"):
-        columns[name] = np.array([getattr(each, name) for each in found])
-    return columns
+    ratios = np.array([each.ratio for each in found])
+    return {
+        "variant": np.array([each.name for each in found]),
+        **dict(zip(("ratio_low", "ratio_median", "ratio_high"), ratios.T, strict=True)),
+        **attribute_columns(found, ("nanoseconds", "bytes_per_particle", "compile_seconds", "contacts_per_particle")),
+    }

@@ -5,16 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Backend
 from granflow.studies.figures import COLORS, MARKERS, POINTS
-from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.studies.head_on import Outcomes, collide_all
+from granflow.studies.paper.cases import STEPS_PER_CONTACT
 from granflow.studies.paper.figure_data import FigureData, relative_deviation
-from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
-from granflow.studies.paper.residual import RESOLVED, TARGET_DURATION, TARGET_RESTITUTION
-
-CASE = PAPER_CASES[0]
-VELOCITY = 1.0
-"""Approach velocity [m/s]."""
+from granflow.studies.paper.residual import CASE, RESOLVED, TARGET_DURATION, TARGET_RESTITUTION, VELOCITY
 
 RESTITUTIONS = np.array([0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 """Target restitutions."""
@@ -26,7 +21,7 @@ PHASES = 8
 """Number of phases of first touch within a step; the largest deviation is shown."""
 
 
-def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
+def accuracy_run() -> tuple[Outcomes, np.ndarray, np.ndarray]:
     """Simulate all restitutions, steps and phases in one scene.
 
     Returns outcomes, restitution (n,) and steps per contact (n,) of the collisions. The diameters make the duration of
@@ -38,7 +33,7 @@ def accuracy_run(backend: Backend) -> tuple[Outcomes, np.ndarray, np.ndarray]:
         CASE.head_on(float(a), VELOCITY, CASE.diameter_lasting(count * time_step, float(a), VELOCITY))
         for a, count in zip(e, steps, strict=True)
     ]
-    return collide_all("zhou", pairs, time_step, backend), e, steps
+    return collide_all("zhou", pairs, time_step), e, steps
 
 
 def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> FigureData:

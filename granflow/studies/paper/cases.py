@@ -1,4 +1,4 @@
-"""Cases of the paper: two equal spheres of one material, with the closed forms of their collision."""
+"""Cases of the paper (Zhou 2011): two equal spheres of one material, with the closed forms of their collision."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
 from granflow.scene.schema.presets import PRESETS
-from granflow.studies.paper.head_on_collisions import HeadOnCollision
+from granflow.studies.head_on import HeadOnCollision
 
 DIAMETER = 25.4e-3
 """Diameter of the spheres in Figs. 3 and 4 [m] (Stevens & Hrenya 2005)."""
@@ -49,10 +49,7 @@ class PaperCase:
         return float(theory.hertz_stiffness(self.modulus_eff, 0.25 * (diameter or self.diameter)))
 
     def duration(self, e: float, velocity: float, diameter: float | None = None) -> float:
-        """Collision duration [s] (Zhou 2011, Eq.
-
-        13) for a restitution `e`, an approach velocity [m/s] and a diameter [m].
-        """
+        """Collision duration [s] for a restitution `e`, an approach velocity [m/s] and a diameter [m] (Eq. 13)."""
         return float(theory.duration(e, self.stiffness(diameter), self.mass_eff(diameter), velocity))
 
     def durations(self, e: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -60,10 +57,7 @@ class PaperCase:
         return np.array([self.duration(float(a), float(v)) for a, v in zip(e, velocity, strict=True)])
 
     def springs(self, velocity: np.ndarray) -> np.ndarray:
-        """Stiffness (n,) [N/m] of the linear spring with the same energy (Zhou 2011, Eq.
-
-        19) at velocities (n,) [m/s].
-        """
+        """Stiffness (n,) [N/m] of the linear spring with the same energy at velocities (n,) [m/s] (Eq. 19)."""
         return np.asarray(theory.equivalent_spring(self.stiffness(), self.mass_eff(), velocity))
 
     def diameter_lasting(self, duration: float, e: float, velocity: float) -> float:

@@ -6,16 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from granflow import SceneError
 from granflow.contact.material import PairMaterial, shear_modulus_eff
-from granflow.contact.model import ModelRequest, NormalLaw
 from granflow.contact.registry import NORMAL_LAWS
-from granflow.engine.backend import Backend
-from granflow.errors import SceneError
-from granflow.scene.schema.run import Numerics
 from granflow.studies.figures import COLORS, MARKERS
+from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all, head_on_bench
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
 from granflow.studies.paper.figure_data import FigureData, relative_deviation
-from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
 from granflow.studies.paper.velocity import restitution_of
 
 VELOCITIES = np.geomspace(0.01, 10.0, 19)
@@ -43,7 +40,8 @@ class CandidateModel:
 
     name: str
     settings: Mapping[str, Any]
-    law: NormalLaw
+    law: Any
+    """Contact model of the plan."""
     restitutions: tuple[Any, ...]
     yield_strengths: tuple[float | None, ...]
 
@@ -80,13 +78,12 @@ def candidate_model(name: str) -> CandidateModel:
     kind = NORMAL_LAWS[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
-    pairs = [pair_of(case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
-    defaults = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
-    law = kind.build(
-        ModelRequest(defaults | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle)
-    )
+    fits = tuple({"preset": case.name} for case in PAPER_CASES)
+    given = {"number or fit": fits, "nothing": (None, None)}.get(kind.restitution, wanted)
+    pairs = [case.head_on(e, float(VELOCITIES.max())) for case, e in zip(PAPER_CASES, given, strict=True)]
+    law = head_on_bench({"law": name, **settings}, pairs, np.zeros(len(pairs)), "auto").plan.law
     if kind.restitution == "number or fit":
-        return CandidateModel(name, settings, law, tuple({"preset": case.name} for case in PAPER_CASES), (None, None))
+        return CandidateModel(name, settings, law, fits, (None, None))
     if kind.restitution == "nothing":
         found = [_matched_strength(law, case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
         return CandidateModel(name, settings, law, (None, None), tuple(found))
@@ -101,19 +98,19 @@ def pair_of(case: PaperCase, restitution: Any, strength: float | None = None) ->
     return PairMaterial(case.modulus_eff, shear, restitution, 0.0, yield_strength=yields)
 
 
-def theoretical_restitution(law: NormalLaw, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
+def theoretical_restitution(law: Any, case: PaperCase, pair: PairMaterial, velocity: float) -> float:
     """Theoretical restitution of a contact model for the case at an approach velocity [m/s]."""
     return float(law.restitution(pair, 0.25 * case.diameter, case.mass_eff(), velocity))
 
 
-def _matched_number(law: NormalLaw, case: PaperCase, e: float) -> float:
+def _matched_number(law: Any, case: PaperCase, e: float) -> float:
     """Restitution number of the pair for which the contact model has restitution e at the reference velocity."""
     return _root(
         lambda number: theoretical_restitution(law, case, pair_of(case, number), REFERENCE_VELOCITY) - e, 0.05, 1.0
     )
 
 
-def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
+def _matched_strength(law: Any, case: PaperCase, e: float) -> float:
     """Yield strength [Pa] for which the contact model has restitution e at the reference velocity."""
     low, high = 1e-3 * case.modulus_eff, 0.1 * case.modulus_eff
     return _root(
@@ -122,11 +119,12 @@ def _matched_strength(law: NormalLaw, case: PaperCase, e: float) -> float:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Root of an increasing function between two numbers, by 60 bisections; the nearer end if it has no root there."""
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) < 0.0 else (low, middle)
-    return high if abs(function(high)) <= abs(function(low)) else low
+    """Root of a function between two numbers; the end with the smaller value if it has no root there."""
+    from scipy.optimize import brentq
+
+    if function(low) * function(high) > 0.0:
+        return min(low, high, key=lambda end: abs(function(end)))
+    return float(brentq(function, low, high, xtol=1e-16 * high))
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ class LawComparison:
     refused: dict[str, str] = field(default_factory=dict)
 
 
-def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawComparison:
+def compare(velocities: np.ndarray = VELOCITIES) -> LawComparison:
     """Simulate collisions of both materials at all velocities (n,) [m/s] with all contact models.
 
     The time step is the shortest collision duration of Zhou's model over STEPS_PER_CONTACT. Models that reject the
@@ -148,7 +146,7 @@ def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawCompari
     for name in NORMAL_LAWS:
         try:
             model = candidate_model(name)
-            outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT, backend)
+            outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT)
         except (SceneError, ValueError) as error:
             comparison.refused[name] = str(error)
             continue
@@ -156,7 +154,7 @@ def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawCompari
     return comparison
 
 
-def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[Any]:
+def _collisions(model: CandidateModel, velocities: np.ndarray) -> list[HeadOnCollision]:
     """Head-on collisions of a model: both materials, each at all velocities (n,) [m/s]."""
     found = []
     for case, e, strength in zip(PAPER_CASES, model.restitutions, model.yield_strengths, strict=True):

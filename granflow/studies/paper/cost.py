@@ -3,15 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Backend
-from granflow.engine.engine import Engine
-from granflow.particles.generate import initial_particles
-from granflow.plan.plan import plan_for
-from granflow.scene.schema.scene import Scene
+from granflow import ParticleData, Scene, Simulation
 from granflow.studies.paper.cases import PAPER_CASES
 from granflow.studies.paper.comparison import CandidateModel
 
@@ -43,20 +38,20 @@ class Cost:
     nanoseconds: float
 
 
-def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repeats: int = REPEATS) -> dict[str, Cost]:
+def costs(candidate_models: Mapping[str, CandidateModel], repeats: int = REPEATS) -> dict[str, Cost]:
     """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times.
 
     The result is relative to BASE, which must be among the models; median and quartiles over the repeats.
     """
-    engines = {name: _engine(model, backend) for name, model in candidate_models.items()}
-    for engine in engines.values():
-        engine.advance(STEPS)
-    times = {name: np.array([]) for name in engines}
+    simulations = {name: _simulation(model) for name, model in candidate_models.items()}
+    for simulation in simulations.values():
+        simulation.step(STEPS)
+    times = {name: np.array([]) for name in simulations}
     for _ in range(repeats):
-        for name, engine in engines.items():
-            times[name] = np.append(times[name], _timed(engine))
-    for engine in engines.values():
-        engine.free()
+        for name, simulation in simulations.items():
+            times[name] = np.append(times[name], _timed(simulation))
+    for simulation in simulations.values():
+        simulation.free()
     found = {}
     for name, seconds in times.items():
         low, median, high = np.percentile(seconds / times[BASE], (25, 50, 75))
@@ -64,47 +59,38 @@ def costs(candidate_models: Mapping[str, CandidateModel], backend: Backend, repe
     return found
 
 
-def _timed(engine: Engine) -> float:
-    """Wall time [s] of STEPS steps, until the device has finished."""
+def _timed(simulation: Simulation) -> float:
+    """Wall time [s] of STEPS steps."""
     start = perf_counter()
-    engine.advance(STEPS)
-    engine.synchronized(("mass", "velocity", "force"))
+    simulation.step(STEPS)
     return perf_counter() - start
 
 
-def _engine(model: CandidateModel, backend: Backend) -> Engine:
-    """Engine with the lattice for a model, ready to run."""
-    scene = Scene.model_validate(_lattice(model, backend.precision))
-    plan = plan_for(scene, on_gpu=not backend.on_cpu)
-    engine = Engine(plan, backend)
-    engine.insert(initial_particles(scene))
-    engine.set_walls([], [])
-    engine.refresh()
-    return engine
-
-
-def _lattice(model: CandidateModel, precision: str) -> dict[str, Any]:
+def _simulation(model: CandidateModel) -> Simulation:
     """Cubic lattice of overlapping particles of the first material, with velocities of both signs.
 
     SIDE^3 particles at CLOSENESS diameters; loading and unloading contacts occur with equal frequency.
     """
-    case, random = PAPER_CASES[0], np.random.default_rng(1)
-    axis = CLOSENESS * case.diameter * np.arange(SIDE)
-    positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    strength = model.yield_strengths[0]
-    reach = case.diameter * (SIDE + 1)
-    return {
+    case, strength, restitution = PAPER_CASES[0], model.yield_strengths[0], model.restitutions[0]
+    count, reach = SIDE**3, case.diameter * (SIDE + 1)
+    low, high = [-case.diameter] * 3, [reach] * 3
+    scene = Scene.from_dict({
         "title": "Lattice for timing of contacts",
         "gravity": [0, 0, 0],
         "materials": {"steel": {**case.material, **({"yield_strength": strength} if strength else {})}},
-        "pairs": {"steel-steel": {"restitution": model.restitutions[0], "friction": 0}},
+        "pairs": {"steel-steel": {"friction": 0} | ({} if restitution is None else {"restitution": restitution})},
         "contact": {"normal": model.normal, "tangential": "none", "rolling": "none"},
         "particles": {"lattice": {
-            "material": "steel", "diameter": case.diameter,
-            "velocity": random.uniform(-1.0, 1.0, positions.shape).tolist(),
-            "insert": {"kind": "positions", "positions": positions.tolist()},
+            "material": "steel", "diameter": case.diameter, "count": count,
+            "insert": {"kind": "lattice", "region": {"box": {"min": low, "max": high}}},
         }},
-        "domain": {"min": [-case.diameter] * 3, "max": [reach] * 3, "on_exit": "error"},
-        "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0, "precision": precision},
+        "domain": {"min": low, "max": high, "on_exit": "error"},
+        "run": {"duration": 1.0, "time_step": TIME_STEP, "velocity_max": 1.0, "precision": "f64"},
         "output": {"interval": 1.0},
-    }  # fmt: skip
+    })  # fmt: skip
+    axis = CLOSENESS * case.diameter * np.arange(SIDE)
+    positions = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    velocities = np.random.default_rng(1).uniform(-1.0, 1.0, positions.shape)
+    numbers, radii = np.zeros(count, dtype=np.int32), np.full(count, 0.5 * case.diameter)
+    particles = ParticleData(positions, velocities, np.zeros_like(positions), radii, numbers, numbers)
+    return Simulation(scene, particles=particles)

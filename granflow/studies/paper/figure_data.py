@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from granflow.studies.tables import percent
+
 
 @dataclass(frozen=True)
 class FigureDeviation:
@@ -27,12 +29,11 @@ class FigureDeviation:
 
     def sentence(self) -> str:
         """Sentence with the deviation, its target and a remark."""
-        text_parts = f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}"
+        target = ""
         if self.target is not None:
-            text_parts += (
-                f" (target {percent(self.target)}, {'satisfied' if self.is_within_target else 'not satisfied'})"
-            )
-        return f"{text_parts}. {self.remark}".strip()
+            target = f" (target {percent(self.target)}, {'satisfied' if self.is_within_target else 'not satisfied'})"
+        text = f"Largest deviation of {self.quantity}: {percent(self.largest)} at {self.where}{target}. {self.remark}"
+        return text.strip()
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,6 @@ class FigureData:
     """Called with an empty matplotlib figure and the columns."""
     height: float
     """Height of the figure [inch]."""
-
-
-def percent(share: float) -> str:
-    """Fraction as a percentage with two significant digits."""
-    return f"{100.0 * share:.2g} %" if share >= 1e-6 else "below 0.0001 %"
 
 
 def relative_deviation(

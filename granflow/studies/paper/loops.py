@@ -9,16 +9,12 @@ from typing import Any
 import numpy as np
 
 from granflow.contact import theory
-from granflow.engine.backend import Backend
 from granflow.scene.schema.run import Numerics
 from granflow.studies.figures import COLORS, MARKERS, POINTS
-from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.studies.head_on import Outcomes
+from granflow.studies.paper.cases import STEPS_PER_CONTACT
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation
-from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
-
-CASE = PAPER_CASES[0]
-VELOCITY = 1.0
-"""Approach velocity [m/s]."""
+from granflow.studies.paper.residual import CASE, VELOCITY, residual_run
 
 RESTITUTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Target restitutions, from plastic to elastic."""
@@ -30,13 +26,9 @@ DRAWN_EVERY = 6
 """Interval of the drawn simulated steps."""
 
 
-def loop_run(backend: Backend) -> Outcomes:
+def loop_run() -> Outcomes:
     """Simulate one pair per restitution, with a diameter such that each collision takes 200 steps."""
-    duration = CASE.duration(1.0, VELOCITY)
-    pairs = [
-        CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in RESTITUTIONS
-    ]
-    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
+    return residual_run(RESTITUTIONS)
 
 
 def _diameter(outcomes: Outcomes, index: int) -> float:

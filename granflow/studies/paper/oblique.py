@@ -8,17 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
 from granflow.io.tables import table_in
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
-from granflow.studies.figures import COLORS, POINTS
-from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
+from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
 
 SAFETY = 0.005
 """Time step over the shortest loading or unloading time."""
@@ -28,9 +23,6 @@ CLOSE = 0.01
 """Initial gap over the distance traveled in one elastic contact duration."""
 SLIDING = 1.05
 """Factor on 3.5 mu (1 + e) above which a contact certainly slides throughout."""
-TARGET = 1e-3
-"""Target of the relative deviation for contacts that slide throughout."""
-
 Solid = Mapping[str, float]
 """Young's modulus [Pa], Poisson ratio and density [kg/m3] by name."""
 
@@ -38,9 +30,6 @@ ALUMINA = {"young_modulus": 380e9, "poisson_ratio": 0.23, "density": 4000.0}
 GLASS = {"young_modulus": 70e9, "poisson_ratio": 0.25, "density": 2500.0}
 STEEL = {"young_modulus": 208e9, "poisson_ratio": 0.30, "density": 7850.0}
 ALLOY = {"young_modulus": 70e9, "poisson_ratio": 0.33, "density": 2700.0}
-TITLES = {"glass": "oxide on glass", "test4": "test 4", "test5": "test 5", "test6": "test 6", "test8": "test 8"}
-"""Titles of the tests in the deviations."""
-
 RIGIDITY = 1e10
 """Ratio of Young's modulus of a rigid plate to that of the sphere."""
 HEAVY = {"young_modulus": 1e3 * ALLOY["young_modulus"], "poisson_ratio": 0.33, "density": 1e3 * ALLOY["density"]}
@@ -66,10 +55,10 @@ class ImpactSetup:
         """Hertz stiffness k [N/m^1.5] and effective mass [kg] of the contact; a plate has infinite mass and radius."""
         solids = (self.sphere, self.plate)
         compliance = sum((1.0 - each["poisson_ratio"] ** 2) / each["young_modulus"] for each in solids)
-        mass = 4.0 / 3.0 * np.pi * self.radius**3 * self.sphere["density"]
+        mass = sphere_mass(self.radius, self.sphere["density"])
         if self.partner_radius is None:
             return float(theory.hertz_stiffness(1.0 / compliance, self.radius)), mass
-        other = 4.0 / 3.0 * np.pi * self.partner_radius**3 * self.plate["density"]
+        other = sphere_mass(self.partner_radius, self.plate["density"])
         radius_eff = self.radius * self.partner_radius / (self.radius + self.partner_radius)
         return float(theory.hertz_stiffness(1.0 / compliance, radius_eff)), mass * other / (mass + other)
 
@@ -84,10 +73,7 @@ KHARAZ = ImpactSetup(ALUMINA, GLASS, 2.5e-3, 0.98, 0.092)
 TEST_5 = ImpactSetup(STEEL, rigid(STEEL), 1e-5, 1.0, 0.3)
 TEST_6 = ImpactSetup(ALLOY, rigid(ALLOY), 0.1, 0.5, 0.4)
 TEST_8 = ImpactSetup(ALLOY, HEAVY, 0.1, 0.5, 0.4, partner_radius=0.5)
-"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi 2011, Kharaz et al.
-
-2001).
-"""
+"""Spheres, plates and coefficients of the tests: radii [m], restitution, friction (Chung & Ooi; Kharaz et al.)."""
 
 SPEED_4, SPEED_5, SPEED_6 = 3.9, 5.0, 0.2
 """Impact speeds of tests 4, 5 and 6 [m/s]."""
@@ -114,49 +100,24 @@ def rebound(setup: ImpactSetup, law: str, before: ImpactMotion) -> ImpactMotion:
 
     `law`: contact model. With `setup.partner_radius`, each sphere hits a separate partner sphere instead of the plate.
     """
-    elastic = theory.duration(1.0, *setup.reduced, -before.normal)
-    scene = _scene_of(setup, law, before, CLOSE * elastic * -before.normal, LONGEST * float(np.max(elastic)))
-    simulation = Simulation(scene)
-    simulation.run()
-    last = simulation.snapshot().particles
-    simulation.free()
-    spheres = slice(0, len(before.normal))
-    velocity, spin = last["velocity"][spheres], last["angular_velocity"][spheres]
-    return ImpactMotion(velocity[:, 2], velocity[:, 0], spin[:, 1])
-
-
-def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarray, duration: float) -> Scene:
-    """Scene of all impacts: spheres at a distance `gap` (n,) [m] above the plate, or above partner spheres."""
-    count, partner = len(gap), setup.partner_radius
-    spacing = 3.0 * (partner or setup.radius)
-    centers = np.stack([np.zeros(count), spacing * np.arange(count), setup.radius + gap], axis=1)
-    zeros = np.zeros(count)
-    groups: dict[str, Any] = {"spheres": {
-        "material": "sphere", "diameter": 2.0 * setup.radius,
-        "velocity": np.stack([before.along, zeros, before.normal], axis=1).tolist(),
-        "angular_velocity": np.stack([zeros, before.spin, zeros], axis=1).tolist(),
-        "insert": {"kind": "positions", "positions": centers.tolist()},
-    }}  # fmt: skip
-    walls: dict[str, Any] = {"floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "plate"}}
-    if partner is not None:
-        below = np.stack([zeros, centers[:, 1], zeros - partner], axis=1)
-        partner_insertion = {"kind": "positions", "positions": below.tolist()}
-        groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
-    reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
-    pair = {"restitution": setup.restitution, "friction": setup.friction}
-    return Scene.model_validate({
-        "title": "Independent oblique impacts",
-        "gravity": [0, 0, 0],
-        "materials": {"sphere": setup.sphere, "plate": setup.plate},
-        "pairs": dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
-        "contact": {"normal": law, "tangential": "mindlin", "rolling": "none"},
-        "walls": walls,
-        "particles": groups,
-        "domain": {"min": [-each for each in reach], "max": reach, "on_exit": "error"},
-        "run": {"duration": duration, "velocity_max": float(np.max(-before.normal))},
-        "numerics": {"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
-        "output": {"interval": duration},
-    })  # fmt: skip
+    speeds = -before.normal
+    elastic = theory.duration(1.0, *setup.reduced, speeds)
+    partner, pair = setup.partner_radius, {"restitution": setup.restitution, "friction": setup.friction}
+    bench = CollisionBench(
+        materials={"sphere": setup.sphere, "plate": setup.plate},
+        pairs=dict.fromkeys(("sphere-sphere", "sphere-plate", "plate-plate"), pair),
+        contact={"normal": law, "tangential": "mindlin"},
+        collisions=[
+            Collision("sphere", "plate", setup.radius, partner, *motion)
+            for motion in np.stack([speeds, np.ones_like(speeds), before.along, before.spin, CLOSE * elastic], axis=1)
+        ],
+        run={"duration": LONGEST * float(np.max(elastic)), "velocity_max": float(np.max(speeds))},
+        numerics={"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
+    )
+    bench.rebound()
+    velocity, spin = bench.motions()
+    bench.free()
+    return ImpactMotion(-velocity[:, 0, 0], velocity[:, 0, 1], -spin[:, 0, 2])
 
 
 # ---------------------------------------------------------------- closed forms
@@ -169,12 +130,14 @@ def mean_overlap_share(e: float) -> float:
     where loading gives int_0^1 sqrt(1 - u^2.5) du = eta1/1.8, and unloading, with s = u - x:
     J = int_0^y sqrt((5/4) Lambda (y^2 - s^2) + e^3 (y^2.5 - s^2.5)) ds
     """
+    from scipy.integrate import quad
+
     y, slope = float(theory.recovery(e)), float(theory.unloading_slope(e))
-    nodes, weights = leggauss(80)
-    angle = np.pi / 4.0 * (nodes + 1.0)
-    s = y * np.sin(angle)
-    rate = np.sqrt(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5))
-    unloading = float(np.pi / 4.0 * weights @ (rate * y * np.cos(angle)))
+
+    def rate(s: float) -> float:
+        return float(np.sqrt(max(1.25 * slope * (y**2 - s**2) + e**3 * (y**2.5 - s**2.5), 0.0)))
+
+    unloading = quad(lambda angle: rate(y * np.sin(angle)) * y * np.cos(angle), 0.0, 0.5 * np.pi, epsabs=1e-14)[0]
     return (theory.LOADING_DURATION / 1.8 + e * (1.0 - y) + unloading) / (1.0 + e)
 
 
@@ -203,7 +166,7 @@ def slides(setup: ImpactSetup, before: ImpactMotion) -> np.ndarray:
     return np.abs(before.slip(setup.radius)) > SLIDING * limit
 
 
-# ---------------------------------------------------------------- the figure
+# ---------------------------------------------------------------- the impacts of the figure
 
 
 def published(source: str) -> dict[str, np.ndarray]:
@@ -285,137 +248,3 @@ def plotted_quantities(sweep: ImpactSweep, kind: str) -> dict[str, np.ndarray]:
         unit = sweep.setup.friction * -before.normal
         return {"slip": slip / unit, "spin": -radius * after.spin / unit}
     return {"slip": -slip / before.slip(radius)}
-
-
-def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
-    """Figure of oblique impacts, with measured points and the deviations of contacts that slide throughout."""
-    return FigureData(
-        name="oblique_impacts",
-        title="Oblique impacts: Chung & Ooi, tests 4 to 8, and Kharaz, Gorham & Salman",
-        caption=(
-            "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
-            "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
-            "patch. Bottom: tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
-            "sticks temporarily, the published curve of test 5 corresponds to half the tangential stiffness (a plate "
-            "rigid along its normal only); the curves of tests 6 and 8 are not reproduced."
-        ),
-        columns=_columns(run),
-        deviations=_deviations(run),
-        draw=lambda figure, _: _draw(figure, run),
-        height=5.0,
-    )
-
-
-def _columns(run: Mapping[str, ImpactSweep]) -> dict[str, np.ndarray]:
-    """Each curve as two columns, simulated and published; shorter columns are padded with nan."""
-    columns: dict[str, np.ndarray] = {}
-    for name, sweep in run.items():
-        columns[f"{name}_x"] = sweep.x
-        for quantity, values in plotted_quantities(sweep, _kind(name)).items():
-            columns[f"{name}_{quantity}"] = values
-    for source in ("kharaz_2001", "chung_ooi_2011"):
-        for quantity, points in published(source).items():
-            columns |= {f"{source}_{quantity}_x": points[:, 0], f"{source}_{quantity}": points[:, 1]}
-    longest = max(len(values) for values in columns.values())
-    return {
-        name: np.pad(values, (0, longest - len(values)), constant_values=np.nan) for name, values in columns.items()
-    }
-
-
-def _kind(name: str) -> str:
-    return {"test5": "test5", "test6": "test6", "test8": "test6"}.get(name.split("_")[0], "test4")
-
-
-def _deviations(run: Mapping[str, ImpactSweep]) -> tuple[FigureDeviation, ...]:
-    """Deviations of contacts that slide throughout from the closed forms, with Zhou's model, in the order of tests."""
-    found = []
-    for name, sweep in run.items():
-        if sweep.law == "zhou":
-            found += list(_sliding_deviations(name, sweep))
-    return tuple(found)
-
-
-def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
-    """Deviations of tangential velocity and spin, with a remark about the lever arm of textbooks.
-
-    Only for impacts that slide throughout, for which `sliding_solution` holds.
-    """
-    sliding = slides(sweep.setup, sweep.before)
-    closed_form, after, radius = sliding_solution(sweep.setup, sweep.before), sweep.after, sweep.setup.radius
-    title = TITLES[name.split("_")[0]]
-    axis = {"test4": "the impact angle", "test5": "the slip ratio", "test6": "the ratio"}[_kind(name)]
-    x = sweep.x[sliding]
-    change = (after.spin - sweep.before.spin)[sliding]
-    textbook = 2.5 * (closed_form.along - sweep.before.along)[sliding] / -radius
-    remark = (
-        f"Textbook relations use the radius as lever arm instead of the radius minus the overlap: "
-        f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
-    )
-    expected = (closed_form.spin - sweep.before.spin)[sliding]
-    return [
-        relative_deviation(
-            f"the change of tangential velocity, sliding ({title})", (after.along - sweep.before.along)[sliding],
-            (closed_form.along - sweep.before.along)[sliding], lambda n: f"{axis} {x[n]:.3g}", TARGET,
-        ),
-        relative_deviation(
-            f"the change of spin, sliding ({title})", change, expected, lambda n: f"{axis} {x[n]:.3g}", TARGET, remark
-        ),
-    ]  # fmt: skip
-
-
-def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
-    panels = figure.subplots(2, 3)
-    _draw_angles(panels[0], run)
-    _draw_test_5(panels[1, :2], run)
-    _draw_test_6(panels[1, 2], run)
-    for letter, panel in zip("abcdef", panels.flat, strict=True):
-        panel.set_title(f"({letter})")
-
-
-def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Draw test 4 and the measurements: Hertz with damping, and Zhou's model."""
-    measured, curves = published("kharaz_2001"), published("chung_ooi_2011")
-    labels = {
-        "tangential_restitution": r"tangential restitution $v_t'/v_t$", "spin": r"spin $\omega'$ [rad/s]",
-        "rebound_angle": "rebound angle of the patch [deg]",
-    }  # fmt: skip
-    for panel, (quantity, label) in zip(panels, labels.items(), strict=True):
-        for plate, line in (("glass", "-"), ("test4", "--")):
-            for number, law in enumerate(("hertz", "zhou")):
-                sweep = run[f"{plate}_{law}"]
-                text = {"glass": f"{law}, glass", "test4": f"{law}, rigid"}[plate]
-                panel.plot(
-                    sweep.x, plotted_quantities(sweep, "test4")[quantity], line, color=COLORS[number], label=text
-                )
-        panel.plot(*curves[f"test4_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, rigid")
-        panel.plot(*measured[quantity].T, marker="o", color="black", label="measured, glass", **POINTS)
-        panel.set(xlabel="impact angle [deg]", ylabel=label, xlim=(0.0, 90.0))
-    panels[2].legend(loc="upper left", fontsize=6.0)
-
-
-def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Draw final slip and spin against initial slip, and the lines of a contact that slides throughout."""
-    sweep, curves = run["test5_zhou"], published("chung_ooi_2011")
-    sliding = np.array([7.0, 20.0])
-    lines = {"slip": sliding - 7.0, "spin": np.full(2, -5.0)}
-    labels = {"slip": r"test 5: slip after $V_s'/(\mu V_n)$", "spin": r"test 5: spin after $r\omega'/(\mu V_n)$"}
-    for panel, quantity in zip(panels, labels, strict=True):
-        panel.plot(sweep.x, plotted_quantities(sweep, "test5")[quantity], color=COLORS[1], label="zhou")
-        panel.plot(*curves[f"test5_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi")
-        panel.plot(sliding, lines[quantity], ":", color="black", label="sliding throughout")
-        panel.set(xlabel=r"slip before $V_t/(\mu V_n)$", ylabel=labels[quantity], xlim=(0.0, 14.0))
-    panels[0].set_ylim(-3.5, 7.0)
-    panels[0].legend(loc="upper left")
-
-
-def _draw_test_6(panel: Any, run: Mapping[str, ImpactSweep]) -> None:
-    """Draw minus final over initial slip against the largest change by friction over initial slip."""
-    for name, line, color in (("test6_hertz", "-", 0), ("test6_zhou", "-", 1), ("test8_zhou", ":", 2)):
-        sweep = run[name]
-        label = {"test6_hertz": "hertz", "test6_zhou": "zhou", "test8_zhou": "zhou, test 8"}[name]
-        panel.semilogx(sweep.x, plotted_quantities(sweep, "test6")["slip"], line, color=COLORS[color], label=label)
-    curves = published("chung_ooi_2011")
-    panel.plot(*curves["test6_slip"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, 6")
-    panel.plot(*curves["test8_slip"].T, "+", color="0.45", ms=3.5, label="Chung & Ooi, 8")
-    panel.set(xlabel=r"$3.5\,\mu(1+e)V_n/V_s$", ylabel=r"tests 6 and 8: $-V_s'/V_s$")
-    panel.legend(loc="lower right", fontsize=6.5)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from granflow.contact import theory
-from granflow.engine.backend import Backend
 from granflow.studies.figures import COLORS, POINTS
+from granflow.studies.head_on import Outcomes, collide_all
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
 from granflow.studies.paper.figure_data import FigureData, relative_deviation
-from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
 
 CASE = PAPER_CASES[0]
 """Material of the collisions; x(e) and T/Ts depend on the restitution only, not on the material."""
@@ -31,16 +30,16 @@ TARGET_RESTITUTION, TARGET_DURATION = 1e-3, 5e-3
 """Targets of the relative deviations of restitution and duration."""
 
 
-def residual_run(backend: Backend, restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
-    """Simulate one pair per restitution, with a diameter such that each collision takes exactly 200 steps.
+def residual_run(restitutions: np.ndarray = RESTITUTIONS) -> Outcomes:
+    """Simulate one pair per restitution (n,), with a diameter such that each collision takes exactly 200 steps.
 
-    `restitutions` (n,); the duration is that of Zhou (2011), Eq. 13.
+    The duration is that of Zhou (2011), Eq. 13.
     """
     duration = CASE.duration(1.0, VELOCITY)
     pairs = [
         CASE.head_on(float(e), VELOCITY, CASE.diameter_lasting(duration, float(e), VELOCITY)) for e in restitutions
     ]
-    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT, backend)
+    return collide_all("zhou", pairs, duration / STEPS_PER_CONTACT)
 
 
 def residual_figure(outcomes: Outcomes, e: np.ndarray = RESTITUTIONS) -> FigureData:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Backend
 from granflow.studies.figures import COLORS, MARKERS, POINTS
+from granflow.studies.head_on import Outcomes, collide_all
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase, small_soft_case
-from granflow.studies.paper.figure_data import FigureData, FigureDeviation, percent, relative_deviation
-from granflow.studies.paper.head_on_collisions import Outcomes, collide_all
+from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 from granflow.studies.paper.residual import TARGET_DURATION, TARGET_RESTITUTION
 from granflow.studies.paper.thornton import thornton_restitution
+from granflow.studies.tables import percent
 
 VELOCITIES = np.geomspace(0.01, 100.0, 33)
 """Approach velocities of the simulated collisions of Figs. 3 and 4 [m/s]."""
@@ -26,10 +26,10 @@ Columns = Mapping[str, np.ndarray]
 """Columns of a CSV file by name, of equal length."""
 
 
-def velocity_run(backend: Backend, velocities: np.ndarray = VELOCITIES) -> Outcomes:
+def velocity_run(velocities: np.ndarray = VELOCITIES) -> Outcomes:
     """Simulate both materials at all velocities (n,) [m/s] in one scene; the shortest collision takes 200 steps."""
     pairs = [case.head_on({"preset": case.name}, float(v)) for case in PAPER_CASES for v in velocities]
-    return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT, backend)
+    return collide_all("zhou", pairs, _shortest(PAPER_CASES, velocities) / STEPS_PER_CONTACT)
 
 
 def _shortest(cases: Sequence[PaperCase], velocities: np.ndarray) -> float:
@@ -154,7 +154,7 @@ def draw_duration(figure: Any, columns: Columns) -> None:
     axes.legend(loc="lower left")
 
 
-def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
+def estimate_run(velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
     """Simulate the small soft spheres of the estimate below Eq. 19 at velocities (n,) [m/s].
 
     The restitution, 0.9, has no effect up to the maximum overlap.
@@ -162,7 +162,7 @@ def estimate_run(backend: Backend, velocities: np.ndarray = ESTIMATE_VELOCITIES)
     case, e = small_soft_case(), 0.9
     pairs = [case.head_on(e, float(v)) for v in velocities]
     shortest = case.duration(e, float(velocities.max()))
-    return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT, backend)
+    return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT)
 
 
 def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:

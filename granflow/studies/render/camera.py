@@ -26,6 +26,18 @@ CENTERINGS = 6
 
 
 @dataclass(frozen=True)
+class HalfSpace:
+    """Points behind a plane through `point` (3,) [m] with the outward `normal` (3,)."""
+
+    point: np.ndarray
+    normal: np.ndarray
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (..., 3) [m] are in the half space, (...)."""
+        return (points - self.point) @ self.normal <= 0.0
+
+
+@dataclass(frozen=True)
 class View:
     """View of a picture: perpendicular unit vectors `toward` the viewer and `up` (3,), perspective or parallel.
 

@@ -1,7 +1,9 @@
 """Films from pictures: MP4 by the ffmpeg of the package imageio-ffmpeg."""
 
 from collections.abc import Iterable
+from contextlib import closing
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -21,23 +23,20 @@ def missing_for_film() -> str | None:
 
 
 def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
-    """Write pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
+    """Write one or more pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
 
     The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see `missing_for_film`.
     """
     from imageio_ffmpeg import write_frames
 
     with replacing(path) as temporary:
-        writer = None
-        try:
-            for picture in pictures:
-                if writer is None:
-                    writer = write_frames(
-                        str(temporary), picture.shape[1::-1], fps=rate, quality=QUALITY,
-                        macro_block_size=2, output_params=list(PLAYS_AT_ONCE), ffmpeg_log_level="error",
-                    )  # fmt: skip
-                    writer.send(None)
+        remaining = iter(pictures)
+        first = next(remaining)
+        writer = write_frames(
+            str(temporary), first.shape[1::-1], fps=rate, quality=QUALITY, macro_block_size=2,
+            output_params=list(PLAYS_AT_ONCE), ffmpeg_log_level="error",
+        )  # fmt: skip
+        with closing(writer):
+            writer.send(None)
+            for picture in chain([first], remaining):
                 writer.send(np.ascontiguousarray(picture))
-        finally:
-            if writer is not None:
-                writer.close()

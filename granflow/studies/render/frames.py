@@ -15,6 +15,7 @@ from granflow.errors import GranflowError
 from granflow.io.regular_files import open_regular
 from granflow.io.vtu_reader import read_vtu
 from granflow.scene.schema.units import UnitError, to_si
+from granflow.studies.report.record import require_directory
 
 SAME_TIME = 1e-9
 """Relative tolerance of times for frames of particles, walls and contacts that belong together."""
@@ -48,6 +49,11 @@ class FrameParticles:
     position: np.ndarray
     radius: np.ndarray
     arrays: dict[str, np.ndarray]
+
+    def selected(self, is_selected: np.ndarray) -> "FrameParticles":
+        """The particles with True in `is_selected` (n,)."""
+        arrays = {name: values[is_selected] for name, values in self.arrays.items()}
+        return FrameParticles(self.position[is_selected], self.radius[is_selected], arrays)
 
 
 @dataclass(frozen=True)
@@ -87,18 +93,12 @@ def frames_of(directory: Path) -> list[Frame]:
 
     Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
     """
-    if not directory.is_dir():
-        raise GranflowError(
-            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
-        )
+    require_directory(directory)
     series = _series(directory, "particles")
     if not series:
-        is_run = (directory / "run.log").exists() or (directory / "scene_as_run.yaml").exists()
-        why = (
-            "the scene writes none (output.particles), or the run ended before the first one"
-            if is_run
-            else "it is not the directory of a run"
-        )
+        why = "it is not the directory of a run"
+        if any((directory / name).exists() for name in ("run.log", "scene_as_run.yaml")):
+            why = "the scene writes none (output.particles), or the run ended before the first one"
         raise GranflowError(f"{directory} contains no particle frames (particles.pvd is missing): {why}.")
     walls, contacts = _series(directory, "walls"), _series(directory, "contacts")
     return [

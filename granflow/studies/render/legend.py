@@ -1,11 +1,12 @@
 """The legend strip on the right of a picture: time and color scale, outside the view of the particles."""
 
+from collections.abc import Mapping
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import COLORS, STYLE
+from granflow.studies.figures import COLORS, styled_figure
 from granflow.studies.render.colors import Scale
 
 DPI = 100
@@ -46,20 +47,15 @@ def legend_strip(scale: Scale, time: str, height: int) -> np.ndarray:
 
     `time`: text at the top; `height` [pixels]; the width is WIDTH times the height.
     """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     letters = LETTERS * height * 72.0 / DPI
-    with matplotlib.rc_context({**STYLE, "font.size": letters, "savefig.bbox": None}):
-        figure = Figure(figsize=(WIDTH * height / DPI, height / DPI), dpi=DPI, facecolor="white")
-        canvas = FigureCanvasAgg(figure)
+    size = (WIDTH * height / DPI, height / DPI)
+    with styled_figure(size, {"font.size": letters}, dpi=DPI, facecolor="white") as figure:
         figure.text(BAR[0], 0.96, time, va="top", fontsize=1.15 * letters)
         title = "\n".join(_title_lines(scale))
         figure.text(BAR[0], BAR[1] + BAR[3] + 0.025, title, va="bottom", linespacing=1.15)
-        _legend(figure, scale, letters) if scale.names is not None else _bar(figure, scale, letters)
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+        _legend(figure, scale.names, letters) if scale.names is not None else _bar(figure, scale, letters)
+        figure.canvas.draw()
+        return np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()
 
 
 def _title_lines(scale: Scale) -> list[str]:
@@ -82,13 +78,10 @@ def _bar(figure: Any, scale: Scale, letters: float) -> None:
     bar.outline.set_linewidth(0.04 * letters)
 
 
-def _legend(figure: Any, scale: Scale, letters: float) -> None:
+def _legend(figure: Any, names: Mapping[int, str], letters: float) -> None:
     """A colored dot and a name for each material or group, as many as fit."""
-    assert scale.names is not None
-    line = 1.5 * letters * DPI / 72.0 / (figure.get_figheight() * DPI)
-    for row, (number, name) in enumerate(list(scale.names.items())[: int(BAR[3] / line)]):
-        height = BAR[1] + BAR[3] - (row + 0.5) * line
-        figure.text(
-            BAR[0], height, "\N{BLACK CIRCLE}", color=COLORS[number % len(COLORS)], va="center", family="DejaVu Sans"
-        )
+    line = 1.5 * letters / (72.0 * figure.get_figheight())
+    for row, (number, name) in enumerate(list(names.items())[: int(BAR[3] / line)]):
+        height, color = BAR[1] + BAR[3] - (row + 0.5) * line, COLORS[number % len(COLORS)]
+        figure.text(BAR[0], height, "\N{BLACK CIRCLE}", color=color, va="center", family="DejaVu Sans")
         figure.text(BAR[0] + 0.13, height, name, va="center")

@@ -8,10 +8,9 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.load import load
 from granflow.scene.schema.scene import Scene
 from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
-from granflow.studies.render.camera import Camera, View, aspect_of, camera_for, view_of
+from granflow.studies.render.camera import Camera, HalfSpace, View, aspect_of, camera_for, view_of
 from granflow.studies.render.colors import Scale, scale_for, values_of
 from granflow.studies.render.frames import (
     ForceChains,
@@ -24,6 +23,7 @@ from granflow.studies.render.frames import (
 )
 from granflow.studies.render.legend import WIDTH, colors_of, legend_strip
 from granflow.studies.render.renderer import Renderer, require_pyvista
+from granflow.studies.report.record import scene_as_run
 
 HEIGHT = 1200
 """Height of a picture without a given size [pixels]."""
@@ -70,7 +70,7 @@ class PictureSetup:
     """Common properties of all pictures of a run.
 
     `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
-    None; `cut`: point [m] and normal (3,) of the plane in front of which nothing is drawn, or None.
+    None; `cut`: outside this half space, nothing is drawn.
     """
 
     style: PictureStyle
@@ -78,17 +78,9 @@ class PictureSetup:
     camera: Camera
     size: tuple[int, int]
     domain: np.ndarray | None
-    cut: tuple[np.ndarray, np.ndarray] | None
+    cut: HalfSpace | None
     decimals: int
     """Decimals of the time [s] that distinguish the frames."""
-
-
-def scene_as_run(directory: Path) -> Scene | None:
-    """Scene of a run; None if its file is missing or cannot be read."""
-    try:
-        return load(directory / "scene_as_run.yaml")
-    except GranflowError:
-        return None
 
 
 def write_pictures(
@@ -132,7 +124,7 @@ def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> I
 
 def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
     """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
-    scene = scene_as_run(directory)
+    scene, _ = scene_as_run(directory)
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)
@@ -160,12 +152,10 @@ def _strip_width(height: int) -> int:
     return int(WIDTH * height)
 
 
-def _cut(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Plane (point, normal) through the center, normal to the axis closest to the direction of the viewer."""
+def _cut(view: View, points: np.ndarray) -> HalfSpace:
+    """Half space behind the center, normal to the axis closest to the direction of the viewer."""
     axis = int(np.argmax(np.abs(view.toward)))
-    normal = np.zeros(3)
-    normal[axis] = np.sign(view.toward[axis])
-    return 0.5 * (points.min(axis=0) + points.max(axis=0)), normal
+    return HalfSpace(0.5 * (points.min(axis=0) + points.max(axis=0)), np.sign(view.toward[axis]) * np.eye(3)[axis])
 
 
 def _scale(style: PictureStyle, scene: Scene | None, frames: Sequence[Frame]) -> Scale:
@@ -187,7 +177,7 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
     """Names of materials and groups, in the order of their numbers in the files."""
     if scene is None:
         return {}
-    from granflow.plan.plan import plan_for
+    from granflow import plan_for
 
     try:
         materials = plan_for(scene).materials
@@ -198,16 +188,17 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
 
 def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarray:
     """Picture (height, width, 3), 0 to 255, of one frame with its legend strip."""
-    particles = _behind(read_particles(frame), setup.cut)
+    particles = read_particles(frame)
+    if setup.cut is not None:
+        particles = particles.selected(setup.cut.contains(particles.position))
     renderer.set_walls(read_walls(frame), setup.domain, setup.cut)
     if setup.style.chains:
         _draw_chains(renderer, setup, read_force_chains(frame), particles)
     else:
         values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
         renderer.set_particles(particles, colors_of(values, setup.scale))
-    return np.concatenate(
-        [renderer.draw(), legend_strip(setup.scale, f"{frame.time:.{setup.decimals}f} s", setup.size[1])], axis=1
-    )
+    strip = legend_strip(setup.scale, f"{frame.time:.{setup.decimals}f} s", setup.size[1])
+    return np.concatenate([renderer.draw(), strip], axis=1)
 
 
 def _draw_chains(
@@ -217,20 +208,9 @@ def _draw_chains(
     renderer.set_particles(particles, np.zeros((len(particles.radius), 3), np.uint8), faint=True)
     chains = chains or ForceChains(np.zeros((0, 2, 3)), np.zeros(0))
     share = np.clip(chains.normal_force / setup.scale.limits[1], 0.0, 1.0)
-    selected = share > THINNEST / THICKEST
+    is_shown = share > THINNEST / THICKEST
     if setup.cut is not None:
-        point, normal = setup.cut
-        selected &= np.all((chains.ends - point) @ normal <= 0.0, axis=1)
-    chains, share = ForceChains(chains.ends[selected], chains.normal_force[selected]), share[selected]
+        is_shown &= setup.cut.contains(chains.ends).all(axis=1)
+    chains, share = ForceChains(chains.ends[is_shown], chains.normal_force[is_shown]), share[is_shown]
     mean_radius = float(np.mean(particles.radius)) if len(particles.radius) else 0.0
     renderer.set_chains(chains, THICKEST * mean_radius * share, colors_of(chains.normal_force, setup.scale))
-
-
-def _behind(particles: FrameParticles, cut: tuple[np.ndarray, np.ndarray] | None) -> FrameParticles:
-    """Particles whose center is behind the plane (point, normal (3,)); all without a plane."""
-    if cut is None:
-        return particles
-    point, normal = cut
-    selected = (particles.position - point) @ normal <= 0.0
-    arrays = {name: values[selected] for name, values in particles.arrays.items()}
-    return FrameParticles(particles.position[selected], particles.radius[selected], arrays)

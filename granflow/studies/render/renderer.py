@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.studies.render.camera import OPENING, Camera
+from granflow.studies.render.camera import OPENING, Camera, HalfSpace
 from granflow.studies.render.frames import ForceChains, FrameParticles, FrameWalls
 
 FINER = 2
@@ -121,12 +121,10 @@ class Renderer:
         mesh_style = {"scalars": "color", "rgb": True, "smooth_shading": True, "opacity": opacity, **SHADE}
         self._plotter.add_mesh(spheres, name=name, reset_camera=False, render=False, **mesh_style)
 
-    def set_walls(
-        self, walls: FrameWalls | None, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None
-    ) -> None:
-        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the rear of the plane `cut`.
+    def set_walls(self, walls: FrameWalls | None, box: np.ndarray | None, cut: HalfSpace | None) -> None:
+        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the half space `cut`.
 
-        `cut`: point [m] and normal (3,), or None. Walls that have not moved since the last frame are kept.
+        Walls that have not moved since the last frame are kept.
         """
         if walls is not None and walls.same_as(self._walls):
             return
@@ -172,13 +170,14 @@ class Renderer:
         )
 
     @staticmethod
-    def _clipped(surface: Any, box: np.ndarray | None, cut: tuple[np.ndarray, np.ndarray] | None) -> Any:
-        """Part of a surface in the box and behind the plane (point, normal toward the viewer)."""
-        planes = [] if cut is None else [cut]
+    def _clipped(surface: Any, box: np.ndarray | None, cut: HalfSpace | None) -> Any:
+        """Part of a surface in the box and the half space."""
+        planes = [cut] if cut else []
         if box is not None:
             margin = 1e-3 * np.ptp(box, axis=0)
-            planes += [(box[0] - margin, -axis) for axis in np.eye(3)] + [(box[1] + margin, axis) for axis in np.eye(3)]
-        for point, normal in planes:
-            if surface.n_cells and np.any((surface.points - point) @ normal > 0.0):
-                surface = surface.clip(normal=normal, origin=point)
+            planes += [HalfSpace(box[0] - margin, -axis) for axis in np.eye(3)]
+            planes += [HalfSpace(box[1] + margin, axis) for axis in np.eye(3)]
+        for plane in planes:
+            if surface.n_cells and not np.all(plane.contains(surface.points)):
+                surface = surface.clip(normal=plane.normal, origin=plane.point)
         return surface

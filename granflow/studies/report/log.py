@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from granflow.errors import GranflowError
@@ -71,8 +72,7 @@ def read_log(path: Path) -> list[LogEntry]:
 def sessions(entries: list[LogEntry]) -> list[RunSession]:
     """Sessions of a run in order; each begins with the entry of versions."""
     starts = [number for number, entry in enumerate(entries) if entry.text.startswith("granflow ")]
-    ends = [*starts[1:], len(entries)]
-    return [_session(entries[start:end]) for start, end in zip(starts, ends, strict=False)]
+    return [_session(entries[start:end]) for start, end in pairwise([*starts, len(entries)])]
 
 
 def _session(entries: list[LogEntry]) -> RunSession:

@@ -9,12 +9,13 @@ import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from granflow.studies.page import Picture
+from granflow.errors import GranflowError
 from granflow.studies.render.camera import VIEWS
-from granflow.studies.render.frames import Frame, is_empty
+from granflow.studies.render.frames import Frame, frames_of, is_empty
 
 MOST_PICTURES = 6
 """Maximum number of pictures in the page."""
@@ -40,27 +41,42 @@ NAME = re.compile(rf"(?:picture|film)_(.+?)_({'|'.join(VIEWS)}|from_[-+.e\d_]+?)
 HOW_TO_ADD = "The files are in pictures/. To add pictures, run granflow render, then granflow report again."
 
 
-def pictures_for(directory: Path, frames: Sequence[Frame], scratch: Path) -> tuple[list[Picture], str]:
+class Picture(NamedTuple):
+    """Image or film file, and its caption."""
+
+    path: Path
+    caption: str
+
+
+class RunPictures(NamedTuple):
+    """Pictures and films of the page, and a sentence about them."""
+
+    shown: Sequence[Picture]
+    statement: str
+
+
+def pictures_for(directory: Path, scratch: Path) -> RunPictures:
     """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
 
     Renders a few frames if the run has no pictures since its last frame. At most MOST_PICTURES pictures and one film of
     at most FILM_BYTES.
     """
-    if not frames:
-        return [], "The run has no frames to render."
-    found = recent_pictures(directory, frames)
-    problem = ""
+    try:
+        frames = frames_of(directory)
+    except GranflowError:
+        return RunPictures((), "The run has no frames to render.")
+    found, problem = recent_pictures(directory, frames), ""
     if not any(path.suffix == ".png" for path in found):
         problem = render(directory, frames)
         found = recent_pictures(directory, frames)
     images = [path for path in found if path.suffix == ".png"][-MOST_PICTURES:]
     films = [path for path in found if path.suffix == ".mp4"]
     small = [path for path in films if path.stat().st_size <= FILM_BYTES][-1:]
-    large = [path for path in films if path not in small]
+    large = [f"pictures/{path.name}" for path in films if path not in small]
     shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
-    omitted_films = f" Films not embedded: {', '.join(f'pictures/{path.name}' for path in large)}." if large else ""
-    return shown, (problem or HOW_TO_ADD) + omitted_films
+    omitted_films = f" Films not embedded: {', '.join(large)}." if large else ""
+    return RunPictures(shown, (problem or HOW_TO_ADD) + omitted_films)
 
 
 def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:

@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from granflow.studies.figures import COLORS
-from granflow.studies.page import Plot
 from granflow.studies.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -24,6 +23,13 @@ HEIGHT = 340
 
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
+
+
+class Plot(NamedTuple):
+    """An interactive plot; `figure` contains data and layout in the format of plotly."""
+
+    caption: str
+    figure: dict[str, Any]
 
 
 def library() -> str:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from granflow import load_scene as load
 from granflow.errors import GranflowError
 from granflow.io.lock import locked
 from granflow.io.regular_files import read_regular_text, resolved
-from granflow.load import load
 from granflow.scene.schema.scene import Scene
 from granflow.studies.report.log import LogEntry, RunSession, read_log, sessions
 from granflow.studies.report.series import TimeSeriesTable, read_series
@@ -60,13 +60,10 @@ def read_record(directory: Path) -> RunRecord:
 
     Raises GranflowError if the directory is not that of a run, or if the time series or the result cannot be read.
     """
-    if not directory.is_dir():
-        raise GranflowError(
-            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
-        )
+    require_directory(directory)
     if not any((directory / name).exists() for name in RUN_FILES):
         raise GranflowError(f"{directory} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}.")
-    scene, problem = _scene(directory / SCENE)
+    scene, problem = scene_as_run(directory)
     path = directory / SCENE
     return RunRecord(
         directory,
@@ -80,10 +77,18 @@ def read_record(directory: Path) -> RunRecord:
     )
 
 
-def _scene(path: Path) -> tuple[Scene | None, str]:
-    """The scene, or None with the reason if it cannot be read."""
+def require_directory(directory: Path) -> None:
+    """Raise GranflowError if the directory of a run does not exist."""
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
+        )
+
+
+def scene_as_run(directory: Path) -> tuple[Scene | None, str]:
+    """Scene of a run, or None with the reason if its file is missing or cannot be read."""
     try:
-        return load(path), ""
+        return load(directory / SCENE), ""
     except GranflowError as error:
         return None, str(error)
 

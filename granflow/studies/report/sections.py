@@ -1,61 +1,63 @@
-"""Sections of the page, each from the files of the run; empty sections are omitted.
+"""Content of the report page, each part from the files of the run; the page omits empty parts.
 
-A run in progress or without a result has sections from its log and time series only.
+A run in progress or without a result has parts from its log and time series only.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from granflow import explain, plan_for
 from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
-from granflow.plan.explain import explain
-from granflow.plan.plan import plan_for
-from granflow.runs.result import readable
-from granflow.studies.page import Code, PagePart, PageTable, Section
 from granflow.studies.report.log import explanation, warnings_and_errors
-from granflow.studies.report.plots import plot_of
+from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.record import RunRecord
 from granflow.studies.report.series import SeriesColumn, groups_of
+from granflow.studies.tables import PageTable
+from granflow.visible_text import readable
 
+FROM_LOG = "From run.log."
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
-TOPICS = {"Flow": FLOW_METER_QUANTITIES, "Wall forces": WALL_FORCE_QUANTITIES}
-"""Quantities of flow meters and walls by section of the page."""
 
-SECTIONS = {"Flow": "flow_meters", "Wall forces": "wall_forces"}
-"""Keys of result.json by topic."""
 
-CAPTIONS = {
-    "Flow": "Flow meters at the end of the run; the mass flow rate is the steady one.",
-    "Wall forces": "Forces of the particles on the walls: means over the run, and the largest value of a row.",
+class Topic(NamedTuple):
+    """Section of quantities over time."""
+
+    title: str
+    tables: Sequence[PageTable]
+    sentences: Sequence[str]
+    plots: Sequence[Plot]
+
+
+class Readings(NamedTuple):
+    """Topic of flow meters or walls: its quantities, its key in result.json, and the caption of its table."""
+
+    quantities: Iterable[str]
+    key: str
+    caption: str
+
+
+FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
+FORCE_CAPTION = "Forces of the particles on the walls: means over the run, and the largest value of a row."
+READINGS = {
+    "Flow": Readings(FLOW_METER_QUANTITIES, "flow_meters", FLOW_CAPTION),
+    "Wall forces": Readings(WALL_FORCE_QUANTITIES, "wall_forces", FORCE_CAPTION),
 }
+"""Topics with one part, such as a flow meter or a wall, per row, by title."""
+
+ENERGIES, OTHERS = "Energy budget", "Over time"
+"""Titles of the other topics."""
+
+SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
+"""Sections of result.json that the page shows separately."""
+
 ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
-PLAN = "Plan of the run"
-"""Title of the section with the plan."""
-
 BAR_STEPS = 30
 """Length of the bar of the total wall-clock time, in blocks."""
-
-
-def summary(record: RunRecord) -> Section:
-    """State of the run, simulated time and performance, and the number of satisfied expectations."""
-    numbers = record.result.get("run", {})
-    rows = []
-    if record.time is not None and "simulated_time" not in numbers:
-        rows.append(("simulated time", readable(record.time), "s"))
-    rows += [_row(name, number) for name, number in numbers.items()]
-    rows += [_row(name, record.result.get("totals", {}).get(name)) for name in ("particle_count", "inserted_count")]
-    rows = [row for row in rows if row[1]]
-    parts: list[PagePart] = [state_of(record)]
-    is_met = [entry.get("met") for entry in record.result.get("expect", ())]
-    if is_met:
-        parts.append(f"{sum(map(bool, is_met))} of {len(is_met)} expectations of the scene are satisfied.")
-    elif record.result and record.scene is not None and record.scene.expect:
-        parts.append("The run ended early because of --until; the expectations of the scene are not evaluated.")
-    return Section("Summary", [*parts, *([PageTable("Progress and performance.", ("", "", ""), rows)] if rows else [])])
 
 
 def state_of(record: RunRecord) -> str:
@@ -71,28 +73,35 @@ def state_of(record: RunRecord) -> str:
     return f"The run did not finish{why}. {resume}"
 
 
-def _row(name: str, number: Any) -> tuple[str, str, str]:
-    return (name.replace("_", " "), "" if number is None else readable(number), unit_of(name))
+def progress(record: RunRecord) -> PageTable:
+    """Simulated time, performance and particle counts."""
+    numbers = dict(record.result.get("run", {}))
+    if record.time is not None:
+        numbers = {"simulated_time": record.time} | numbers
+    totals = record.result.get("totals", {})
+    numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
+    rows = [row for row in map(_number_row, numbers.items()) if row[1]]
+    return PageTable(("", "", ""), rows, "Progress and performance.")
 
 
-def expectations(record: RunRecord) -> Section | None:
+def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
+    """Name, number and unit."""
+    name, number = item
+    return name.replace("_", " "), _shown(number), unit_of(name)
+
+
+def _shown(number: Any) -> str:
+    """A number as text, another value as it is; empty for None."""
+    return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
+
+
+def expectations(record: RunRecord) -> PageTable:
     """Expectations of the scene and their results."""
-    found = record.result.get("expect", ())
     rows = [
         ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
-        for entry in found
+        for entry in record.result.get("expect", ())
     ]
-    if not rows:
-        return None
-    return Section("Expectations", [PageTable("Expectations of the scene (expect).", ("", "result"), rows)])
-
-
-def warnings(record: RunRecord) -> Section | None:
-    """Warnings and errors of the run."""
-    rows = list(warnings_and_errors(record.entries))
-    if not rows:
-        return None
-    return Section("Warnings", [PageTable("From run.log.", ("time", "", "message"), rows)])
+    return PageTable(("", "result"), rows, "Expectations of the scene (expect).")
 
 
 def is_zero(column: SeriesColumn) -> bool:
@@ -101,155 +110,121 @@ def is_zero(column: SeriesColumn) -> bool:
 
 
 def topic_of(column: SeriesColumn) -> str:
-    """Section of the page that shows a column."""
+    """Title of the topic of a column."""
     quantity, _, part = column.name.partition(".")
-    topics = (name for name, quantities in TOPICS.items() if part and quantity in quantities)
-    return next(topics, "Energy budget" if column.unit == "J" or quantity.startswith("energy") else "Over time")
+    topics = (title for title, readings in READINGS.items() if part and quantity in readings.quantities)
+    return next(topics, ENERGIES if column.unit == "J" or quantity.startswith("energy") else OTHERS)
 
 
-def over_time(record: RunRecord, with_plots: bool) -> list[Section]:
+def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
     """Sections of flow, wall forces, energy budget, and all other quantities over time.
 
     Columns of zeros are listed instead of plotted. `with_plots`: whether the plot library is available.
     """
     series = record.series
     if series is None:
-        return [Section("Over time", ["The run has written no rows of timeseries.csv yet."])]
+        yield Topic(OTHERS, (), ["The run has written no rows of timeseries.csv yet."], ())
+        return
     zero_columns = [column.text for column in series.columns if is_zero(column)]
-    parts_of: dict[str, list[PagePart]] = {topic: _readings(record, topic) for topic in TOPICS}
-    parts_of["Energy budget"] = _energy_budget(record)
-    parts_of["Over time"] = [f"Always zero: {', '.join(zero_columns)}."] if zero_columns else []
-    found = []
-    for topic, parts in parts_of.items():
-        columns = [column for column in series.columns if topic_of(column) == topic and not is_zero(column)]
+    tables = {title: _readings(record, title) for title in READINGS} | {ENERGIES: _energy_budget(series.columns)}
+    error = record.result.get("totals", {}).get("energy_error")
+    for title in (*READINGS, ENERGIES, OTHERS):
+        sentences = []
+        if title == OTHERS and zero_columns:
+            sentences.append(f"Always zero: {', '.join(zero_columns)}.")
+        if title == ENERGIES and tables[ENERGIES] and error is not None:
+            sentences.append(f"Energy error: {error:.3g} of the largest energy input (docs/energy.md).")
+        columns = [column for column in series.columns if topic_of(column) == title and not is_zero(column)]
         if columns and not with_plots:
-            parts = [*parts, NO_LIBRARY]
+            sentences.append(NO_LIBRARY)
         plots = [plot_of(group, series) for group in groups_of(columns)] if with_plots else []
-        if parts or plots:
-            found.append(Section(topic, [*parts, *plots]))
-    return found
+        found = Topic(title, tables.get(title, ()), sentences, plots)
+        if any(found[1:]):
+            yield found
 
 
-def _readings(record: RunRecord, topic: str) -> list[PagePart]:
+def _readings(record: RunRecord, title: str) -> list[PageTable]:
     """Final values of flow meters or walls; from the last row of the time series if the run has no result."""
-    readings = record.result.get(SECTIONS[topic], {})
-    if readings:
-        return [table_of(CAPTIONS[topic], readings)]
-    readings = _last_readings(record.series.columns, topic) if record.series is not None else {}
-    return [table_of("The last row of timeseries.csv.", readings)] if readings else []
+    readings, caption = record.result.get(READINGS[title].key, {}), READINGS[title].caption
+    if not readings and record.series is not None:
+        caption = "The last row of timeseries.csv."
+        for column in record.series.columns:
+            quantity, _, part = column.name.partition(".")
+            if topic_of(column) == title:
+                readings.setdefault(part, {})[quantity] = float(column.values[-1])
+    return [table_of(caption, readings)] if readings else []
 
 
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
     """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity."""
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
-    heads = ["", *(f"{name.replace('_', ' ')} {_bracketed(unit_of(name + '.x'))}".strip() for name in names)]
-    return PageTable(
-        caption, heads, [[part, *(_shown(each.get(name)) for name in names)] for part, each in parts.items()]
-    )
+    units = [unit_of(name + ".x") for name in names]
+    heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
+    rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
+    return PageTable(["", *heads], rows, caption)
 
 
-def _last_readings(columns: Sequence[SeriesColumn], topic: str) -> dict[str, dict[str, float]]:
-    """Last value of each column of a topic: part -> quantity -> value."""
-    found: dict[str, dict[str, float]] = {}
-    for column in columns:
-        quantity, _, part = column.name.partition(".")
-        if topic_of(column) == topic:
-            found.setdefault(part, {})[quantity] = float(column.values[-1])
-    return found
-
-
-def _energy_budget(record: RunRecord) -> list[PagePart]:
-    """Each energy at the start and at the end, and its largest absolute value [J], and the energy error of the run."""
-    assert record.series is not None
-    energies = [column for column in record.series.columns if column.unit == "J" and not is_zero(column)]
-    if not energies:
-        return []
+def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
+    """Each energy at the start and at the end, and its largest absolute value [J]."""
     rows = []
-    for column in energies:
-        known = TOTAL_QUANTITIES.get(column.name)
-        values = column.values[np.isfinite(column.values)]
-        numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
-        rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
-    error = record.result.get("totals", {}).get("energy_error")
-    statement = [] if error is None else [f"Energy error: {error:.3g} of the largest energy input (docs/energy.md)."]
-    return [PageTable("Energies in J.", ("", "first", "last", "largest", "meaning"), rows), *statement]
+    for column in columns:
+        if column.unit == "J" and not is_zero(column):
+            known = TOTAL_QUANTITIES.get(column.name)
+            values = column.values[np.isfinite(column.values)]
+            numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
+            rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
+    return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
-def profile(record: RunRecord) -> Section | None:
+def timings(record: RunRecord) -> PageTable | None:
     """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
     seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
     total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:
         return None
     seconds["other"] = total - sum(seconds.values())
-    rows = [
-        (
-            name.replace("_", " "),
-            f"{number:.2f}",
-            f"{number / total:.0%}",
-            "\N{FULL BLOCK}" * round(BAR_STEPS * number / total),
-        )
-        for name, number in sorted(seconds.items(), key=lambda each: -each[1])
-    ]
-    return Section("Timings", [PageTable(f"Total wall-clock time: {total:.4g} s.", ("", "s", "share", ""), rows)])
+    rows = []
+    for name, number in sorted(seconds.items(), key=lambda each: -each[1]):
+        bar = "\N{FULL BLOCK}" * round(BAR_STEPS * number / total)
+        rows.append((name.replace("_", " "), f"{number:.2f}", f"{number / total:.0%}", bar))
+    return PageTable(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
-def plan(record: RunRecord) -> Section | None:
-    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene."""
+def plan(record: RunRecord) -> tuple[str, str]:
+    """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene; or the problem."""
     text = explanation(record.entries)
     if not text and record.scene is not None:
         try:
             text = explain(plan_for(record.scene))
         except GranflowError as error:
-            return Section(PLAN, [f"The log does not contain the plan, and it cannot be recomputed: {error}"])
-    return Section(PLAN, [Code(text, numbered=False)]) if text else None
+            return "", str(error)
+    return text, ""
 
 
-def scene(record: RunRecord) -> Section:
-    """The resolved scene, with all defaults."""
-    if not record.text:
-        return Section("Resolved scene", ["scene_as_run.yaml is missing."])
-    problem = [f"This version cannot read the scene: {record.scene_problem}"] if record.scene_problem else []
-    return Section("Resolved scene", [*problem, Code(record.text)])
-
-
-def machine(record: RunRecord) -> Section | None:
+def machine(record: RunRecord) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
-        (
-            each.started,
-            each.arch,
-            each.precision,
-            f"{each.compiled} s" if each.compiled else "",
-            each.versions,
-            each.resumed_from,
-        )
+        (each.started, each.arch, each.precision, each.compiled and f"{each.compiled} s", each.versions,
+         each.resumed_from)
         for each in record.sessions
-    ]
-    if not rows:
-        return None
-    heads = ("start", "backend", "precision", "compilation", "versions and system", "")
-    return Section("Machine and versions", [PageTable("From run.log.", heads, rows)])
+    ]  # fmt: skip
+    return PageTable(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
 
 
-def remaining_numbers(record: RunRecord) -> Section | None:
+def warnings(record: RunRecord) -> PageTable:
+    """Warnings and errors of the run."""
+    return PageTable(("time", "", "message"), list(warnings_and_errors(record.entries)), FROM_LOG)
+
+
+def remaining_numbers(record: RunRecord) -> list[PageTable]:
     """Numbers of the result without a separate section."""
-    other_sections = ("run", "timings", "expect", *SECTIONS.values())
-    parts: list[PagePart] = []
+    found = []
     for name, numbers in record.result.items():
-        if name in other_sections or not isinstance(numbers, Mapping) or not numbers:
+        if name in SEPARATE or not isinstance(numbers, Mapping) or not numbers:
             continue
+        caption = f"{name} in result.json"
         if all(isinstance(each, Mapping) for each in numbers.values()):
-            parts.append(table_of(f"{name} in result.json", numbers))
+            found.append(table_of(caption, numbers))
         else:
-            rows = [(each.replace("_", " "), _shown(number), unit_of(each)) for each, number in numbers.items()]
-            parts.append(PageTable(f"{name} in result.json", ("", "", ""), rows))
-    return Section("Other results", parts) if parts else None
-
-
-def _shown(number: Any) -> str:
-    return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
-
-
-def _bracketed(unit: str) -> str:
-    return f"({unit})" if unit else ""
+            found.append(PageTable(("", "", ""), list(map(_number_row, numbers.items())), caption))
+    return found

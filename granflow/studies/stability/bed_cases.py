@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
+from granflow import Plan, Scene, Simulation, plan_for
 from granflow.studies.stability.cases import CaseResult
 
 RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
@@ -36,7 +34,7 @@ def scene_with(law: str, particles: Mapping[str, Any], duration: float, **change
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
     reach = changes.get("reach", 10.0 * SIDE)
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Many particles in an extreme case",
         "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
         "materials": {
@@ -148,16 +146,18 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
 def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -> float:
     """Overlap [m] at which contact `index` of a column carries a load [N]; contact 0 is at the floor.
 
-    `masses` (n + 1,) [kg]: floor (infinite) and particles. By bisection with the reference force.
+    `masses` (n + 1,) [kg]: floor (infinite) and particles. The force is that of the reference implementation.
     """
-    low, high = 0.0, RADIUS
+    from scipy.optimize import brentq
+
     radius_eff = RADIUS if index == 0 else 0.5 * RADIUS
     lower, upper = masses[index], masses[index + 1]
     mass_eff = upper if index == 0 else lower * upper / (lower + upper)
     constants = plan.pair_constants[0]
     history = np.zeros(plan.law.history_count)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        force, _ = plan.law.reference_force(constants, radius_eff, mass_eff, plan.time_step, middle, 0.0, history)
-        low, high = (middle, high) if force < load else (low, middle)
-    return 0.5 * (low + high)
+
+    def excess(overlap: float) -> float:
+        arguments = (constants, radius_eff, mass_eff, plan.time_step, overlap, 0.0, history)
+        return plan.law.reference_force(*arguments)[0] - load
+
+    return float(brentq(excess, 0.0, RADIUS, xtol=1e-15 * RADIUS, rtol=1e-15))

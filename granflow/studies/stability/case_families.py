@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Precision
 from granflow.scene.schema.run import LARGEST_OVERLAP
 from granflow.studies.stability import bed_cases
 from granflow.studies.stability.bed_cases import (
@@ -42,7 +41,7 @@ STEEL = (3.0432, 0.540, 340.3)
 RADII: tuple[float, ...] = tuple(10.0**n for n in range(-6, 1))
 """Particle radii [m]."""
 
-PRECISIONS: tuple[Precision, ...] = ("f64", "mixed", "f32")
+PRECISIONS = ("f64", "mixed", "f32")
 RATIOS: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Ratios of the radii of two particles."""
 

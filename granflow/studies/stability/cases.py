@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from granflow.engine.backend import Precision
-from granflow.errors import GranflowError
+from granflow import GranflowError
+from granflow.studies.tables import percent
 
 ACCURATE = 0.01
 """Largest error of an accurate case."""
@@ -43,7 +43,7 @@ class StabilityCase:
     column: str
     reference: str
     run: Callable[[], CaseResult]
-    precision: Precision = "f64"
+    precision: str = "f64"
 
     @property
     def name(self) -> str:
@@ -115,9 +115,3 @@ def assess(case_result: CaseResult) -> tuple[Kind, str]:
     if case_result.error > SILENT_LIMIT:
         return "defect", f"defect: silent error {percent(case_result.error)}{statement}"
     return "error", f"stable, error {percent(case_result.error)}{statement}"
-
-
-def percent(share: float) -> str:
-    """A fraction in percent with two digits."""
-    value = 100.0 * share
-    return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"

@@ -4,17 +4,14 @@ Requires the extra `plot`.
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import draw_to
+from granflow.studies.figures import Drawing
 from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL
-from granflow.studies.stability.cases import CaseOutcome, percent
-
-HEIGHT = 13.5
-"""Height of the figure [inch]."""
+from granflow.studies.stability.cases import CaseOutcome
+from granflow.studies.tables import percent
 
 SMALLEST, LARGEST = 1e-5, 1.0
 """Range of errors of the color scale."""
@@ -42,9 +39,9 @@ TITLES = {
 """Titles of the panels by family."""
 
 
-def write_heatmap(path: Path, outcomes: Sequence[CaseOutcome]) -> None:
-    """Draw all families. Raises GranflowError without matplotlib."""
-    draw_to(path, lambda figure: _draw(figure, outcomes), HEIGHT)
+def heatmap(outcomes: Sequence[CaseOutcome]) -> Drawing:
+    """Drawing of all families."""
+    return Drawing(lambda figure: _draw(figure, outcomes), 13.5)
 
 
 def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:

@@ -10,12 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact import theory
 from granflow.contact.material import VelocityRestitution
-from granflow.engine.backend import Precision
-from granflow.plan.plan import plan_for
-from granflow.scene.schema.scene import Scene
-from granflow.simulation import Simulation
+from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
 from granflow.studies.stability.cases import CaseResult
 
 POISSON = 0.25
@@ -23,10 +19,8 @@ POISSON = 0.25
 
 GAP = 1e-3
 """Initial gap over the smaller radius."""
-SPACING = 5.0
-"""Distance of neighboring pairs over the larger radius."""
-RUN_DURATIONS = 3.0
-"""Run time after first contact, in durations of the slowest collision."""
+MAX_OVERLAP = 0.1
+"""Overlap over radius above which a run is aborted, the default of scenes."""
 SKIN = 0.3
 """Skin over the smallest radius; equal for all cases, so that the kernels compile once."""
 
@@ -50,13 +44,7 @@ class ParticlePair:
     @property
     def masses(self) -> np.ndarray:
         """Masses of both particles (2,) [kg]."""
-        sizes = np.array([1.0, self.radius_ratio**3 * self.density_ratio])
-        return 4.0 / 3.0 * np.pi * self.radius**3 * self.density * sizes
-
-    @property
-    def velocities(self) -> np.ndarray:
-        """Velocities of both particles (2,) [m/s] with zero total momentum."""
-        return self.velocity * self.masses[::-1] / self.masses.sum() * np.array([1.0, -1.0])
+        return sphere_mass(self.radius, self.density) * np.array([1.0, self.radius_ratio**3 * self.density_ratio])
 
     @property
     def requested(self) -> float:
@@ -80,20 +68,18 @@ class Rebound:
 
 
 @cache
-def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share: float | None = None) -> Rebound:
+def rebound(pairs: tuple[ParticlePair, ...], precision: str = "f64", share: float | None = None) -> Rebound:
     """Collide the pairs with Zhou's model, at `share` of the largest permitted time step, or at the default one.
 
     Cached: cases with the same pairs share one run. Raises SceneError if the time step is refused, RunError if the run
     aborts.
     """
     step = None if share is None else share * _largest_step(pairs)
-    simulation = Simulation(scene_of(pairs, precision, step))
-    simulation.run()
-    velocity = simulation.snapshot().particles["velocity"][:, 0].astype(float).reshape(-1, 2)
-    chosen = simulation.plan.step
-    simulation.free()
-    masses = np.array([pair.masses for pair in pairs])
-    speeds = np.array([pair.velocity for pair in pairs])
+    bench = _bench(pairs, precision, step)
+    bench.rebound()
+    velocity, chosen = bench.motions()[0][:, :, 0], bench.plan.step
+    bench.free()
+    masses, speeds = np.array([pair.masses for pair in pairs]), np.array([pair.velocity for pair in pairs])
     momentum_error = np.abs(np.sum(masses * velocity, axis=1)) / (masses.min(axis=1) * speeds)
     return Rebound((velocity[:, 1] - velocity[:, 0]) / speeds, momentum_error, chosen.value, chosen.warnings)
 
@@ -101,56 +87,32 @@ def rebound(pairs: tuple[ParticlePair, ...], precision: Precision = "f64", share
 @cache
 def _largest_step(pairs: tuple[ParticlePair, ...]) -> float:
     """Largest permitted time step [s]."""
-    return plan_for(scene_of(pairs, "f64")).step.stable_below
+    return _bench(pairs, "f64").plan.step.stable_below
 
 
-def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: float | None = None) -> Scene:
-    """Scene of all pairs with separate materials, in a square grid normal to the approach direction.
-
-    `time_step` [s]: automatic if None. Materials a0, b0, a1, ...: one pair of materials per collision.
-    """
-    side = int(np.ceil(np.sqrt(len(pairs))))
-    spacing = SPACING * max(pair.radius * max(pair.radius_ratio, 1.0) for pair in pairs)
-    materials, pairs_of_materials, particles = {}, {}, {}
+def _bench(pairs: Sequence[ParticlePair], precision: str, time_step: float | None = None) -> CollisionBench:
+    """Bench with all pairs; `time_step` [s]: automatic if None. The materials of pair 0 are a0 and b0, and so on."""
+    materials, pairs_of_materials, collisions = {}, {}, []
     for index, pair in enumerate(pairs):
-        row, column = divmod(index, side)
-        names = (f"a{index}", f"b{index}")
-        for number, name in enumerate(names):
-            ratio = pair.density_ratio if number else 1.0
-            materials[name] = {
-                "young_modulus": pair.young_modulus, "poisson_ratio": POISSON, "density": pair.density * ratio
-            }  # fmt: skip
-            particles[name] = {"material": name, **_particle(pair, number, spacing * row, spacing * column)}
+        names, masses = (f"a{index}", f"b{index}"), pair.masses
+        for name, ratio in zip(names, (1.0, pair.density_ratio), strict=True):
+            density = pair.density * ratio
+            materials[name] = {"young_modulus": pair.young_modulus, "poisson_ratio": POISSON, "density": density}
         pairs_of_materials["-".join(names)] = {"restitution": _restitution_setting(pair), "friction": 0}
-    reach = spacing * (side + 1)
+        gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
+        collisions.append(Collision(
+            *names, pair.radius, pair.radius * pair.radius_ratio, pair.velocity, share=masses[1] / masses.sum(),
+            first_contact=gap / pair.velocity,
+        ))  # fmt: skip
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
-
-    return Scene.model_validate({
-        "title": "Head-on collisions",
-        "gravity": [0, 0, 0],
-        "materials": materials,
-        "pairs": pairs_of_materials,
-        "contact": {"normal": "zhou", "tangential": "none", "rolling": "none"},
-        "particles": particles,
-        "domain": {"min": [-reach] * 3, "max": [reach] * 3, "on_exit": "error"},
-        "run": {
+    return CollisionBench(
+        materials, pairs_of_materials, {"normal": "zhou"}, collisions,
+        run={
             "precision": precision, "velocity_max": max(pair.velocity for pair in pairs),
-            "duration": max(_duration(pair) for pair in pairs), "time_step": time_step or "auto",
+            "duration": 1.0 + 10.0 * max(each.first_contact for each in collisions), "time_step": time_step or "auto",
         },
-        "numerics": {"skin": SKIN * smallest},
-        "output": {"interval": 1e9},
-    })  # fmt: skip
-
-
-def _particle(pair: ParticlePair, number: int, y: float, z: float) -> dict[str, Any]:
-    """Diameter, velocity and position of the first or second particle of a pair; first contact is at x = 0."""
-    radius = pair.radius * (pair.radius_ratio if number else 1.0)
-    gap = 0.5 * GAP * pair.radius * min(pair.radius_ratio, 1.0)
-    position = (radius + gap) * (1.0 if number else -1.0)
-    return {
-        "diameter": [2.0 * radius], "velocity": [[float(pair.velocities[number]), 0.0, 0.0]],
-        "insert": {"kind": "positions", "positions": [[position, y, z]]},
-    }  # fmt: skip
+        numerics={"skin": SKIN * smallest, "max_overlap": MAX_OVERLAP},
+    )  # fmt: skip
 
 
 def _restitution_setting(pair: ParticlePair) -> Any:
@@ -161,17 +123,8 @@ def _restitution_setting(pair: ParticlePair) -> Any:
     return {"sigma": sigma, "psi": psi, "limit_velocity": limit}
 
 
-def _duration(pair: ParticlePair) -> float:
-    """Time [s] for approach and separation of a pair, with a safety margin."""
-    masses, modulus = pair.masses, 0.5 * pair.young_modulus / (1.0 - POISSON**2)
-    radius_eff = pair.radius * pair.radius_ratio / (1.0 + pair.radius_ratio)
-    k, mass = theory.hertz_stiffness(modulus, radius_eff), float(masses.prod() / masses.sum())
-    gap = GAP * pair.radius * min(pair.radius_ratio, 1.0)
-    return gap / pair.velocity + RUN_DURATIONS * float(theory.duration(1.0, k, mass, pair.velocity))
-
-
 def rebound_result(
-    pairs: tuple[ParticlePair, ...], index: int, precision: Precision = "f64", share: float | None = None
+    pairs: tuple[ParticlePair, ...], index: int, precision: str = "f64", share: float | None = None
 ) -> CaseResult:
     """Larger error of restitution and momentum of one pair, relative to the approach velocity.
 

@@ -1,23 +1,20 @@
 """Output of the stability study: `stability.csv`, heat map and page."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
-from granflow.errors import GranflowError
-from granflow.studies.figures import write_columns
-from granflow.studies.page import Page, PageTable, Picture, Section, write_page
+from granflow.studies.page import write_study
 from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL, all_cases
-from granflow.studies.stability.cases import ACCURATE, SILENT_LIMIT, CaseOutcome, percent
-from granflow.studies.stability.heatmap import write_heatmap
+from granflow.studies.stability.cases import ACCURATE, SILENT_LIMIT, CaseOutcome
+from granflow.studies.stability.heatmap import heatmap
 from granflow.studies.stability.worker_pool import Report, run_cases
+from granflow.studies.tables import PageTable, attribute_columns, percent
 
-PAGE, CSV, HEATMAP = "stability.html", "stability.csv", "stability.png"
-"""Names of page, CSV file and heat map."""
-
+PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
 """Column headings of `summary_rows`."""
 
@@ -58,24 +55,32 @@ def write_stability(out: Path, outcomes: Sequence[CaseOutcome]) -> str:
 
     The CSV has one row per case and one column per field of CaseOutcome; the assessment is in the column `verdict`.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    columns = {field.name: np.array([getattr(each, field.name) for each in outcomes]) for field in fields(CaseOutcome)}
+    columns = attribute_columns(outcomes, (field.name for field in fields(CaseOutcome)))
     columns["verdict"] = columns.pop("assessment")  # the name of the column in earlier versions
-    write_columns(out / CSV, columns)
-    missing = ""
-    try:
-        write_heatmap(out / HEATMAP, outcomes)
-    except GranflowError as error:
-        missing = str(error)
-    write_page(_page(out, outcomes, not missing), out / PAGE)
-    return missing
+    return write_study(
+        out / PAGE,
+        "stability.html",
+        tables={"stability.csv": columns},
+        figures={"stability.png": heatmap(outcomes)},
+        headline=headline(outcomes),
+        accurate=ACCURATE,
+        silent_limit=SILENT_LIMIT,
+        summary=PageTable(HEADS, summary_rows(outcomes)),
+        families=list(_families(outcomes)),
+    )
+
+
+def _by_family(outcomes: Sequence[CaseOutcome]) -> dict[str, list[CaseOutcome]]:
+    """Outcomes of each family, in their order."""
+    found: dict[str, list[CaseOutcome]] = {}
+    for each in outcomes:
+        found.setdefault(each.family, []).append(each)
+    return found
 
 
 def summary_rows(outcomes: Sequence[CaseOutcome]) -> list[tuple[str, ...]]:
     """One row per family with the cells of HEADS, and one for all cases."""
-    families = dict.fromkeys(each.family for each in outcomes)
-    rows = [_summary(family, [each for each in outcomes if each.family == family]) for family in families]
-    return [*rows, _summary("all", outcomes)]
+    return [_summary(name, group) for name, group in {**_by_family(outcomes), "all": outcomes}.items()]
 
 
 def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
@@ -85,6 +90,23 @@ def _summary(name: str, outcomes: Sequence[CaseOutcome]) -> tuple[str, ...]:
     worst = percent(max(errors)) if errors else ""
     kinds = (str(counts[kind]) for kind in ("accurate", "error", "refused", "defect"))
     return (name, str(len(outcomes)), *kinds, worst)
+
+
+def _families(outcomes: Sequence[CaseOutcome]) -> Iterator[tuple[str, str, PageTable]]:
+    """Title, explanation and table of each family."""
+    for family, group in _by_family(outcomes).items():
+        rows = [(each.row, each.column, *map(_shown, (each.expected, each.reached, each.time_step)), each.assessment)
+                for each in group]  # fmt: skip
+        is_common = len({each.reference for each in group}) == 1
+        reference = group[0].reference if is_common else "the reference of each case"
+        heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
+        table = PageTable(heads, rows, f"Measured against {reference}.")
+        yield family[0].upper() + family[1:], EXPLANATIONS[family], table
+
+
+def _shown(number: float) -> str:
+    """Number with four digits; empty for nan."""
+    return f"{number:.4g}" if np.isfinite(number) else ""
 
 
 def defects(outcomes: Sequence[CaseOutcome]) -> list[str]:
@@ -108,42 +130,3 @@ def headline(outcomes: Sequence[CaseOutcome]) -> str:
         f"{percent(ACCURATE)}, {counts['error']} stable with a reported error, {counts['refused']} refused with a "
         f"message, {counts['defect']} defects.{between}"
     )
-
-
-def _page(out: Path, outcomes: Sequence[CaseOutcome], drawn: bool) -> Page:
-    """HTML page with assessments, heat map and one section per family."""
-    how = (
-        "The cases run in separate processes. Assessments: stable and accurate, with an error of "
-        f"up to {percent(ACCURATE)}; stable, with the error and the affected quantity; refused, with the "
-        "message shown to the user. A value that is not finite, a crash, a case that does not end, or an error above "
-        f"{percent(SILENT_LIMIT)} without a warning is a defect. Restitution errors are relative to the approach "
-        "velocity: 0.015 instead of 0 is an error of 1.5 %."
-    )
-    table = PageTable("Cases by assessment.", HEADS, summary_rows(outcomes))
-    parts: list[str | PageTable | Picture] = [how, table]
-    if drawn:
-        caption = "All cases: row and column within the family, with the error or the ratio of the stability limits."
-        parts.append(Picture(out / HEATMAP, caption, (HEATMAP, CSV)))
-    sections = [Section("Results", parts)]
-    for family in dict.fromkeys(each.family for each in outcomes):
-        of_family = [each for each in outcomes if each.family == family]
-        sections.append(Section(family[0].upper() + family[1:], [EXPLANATIONS[family], _table(of_family)]))
-    return Page("Stiff and extreme cases", headline(outcomes), sections)
-
-
-def _table(outcomes: Sequence[CaseOutcome]) -> PageTable:
-    """Table of the cases of one family."""
-    rows = [
-        (each.row, each.column, _figure(each.expected), _figure(each.reached), _figure(each.time_step), each.assessment)
-        for each in outcomes
-    ]
-    reference = (
-        outcomes[0].reference if len({each.reference for each in outcomes}) == 1 else "the reference of each case"
-    )
-    heads = ("", "case", "expected", "reached", "time step (s)", "assessment")
-    return PageTable(f"Measured against {reference}.", heads, rows)
-
-
-def _figure(number: float) -> str:
-    """Number with four digits; empty for nan."""
-    return f"{number:.4g}" if np.isfinite(number) else ""

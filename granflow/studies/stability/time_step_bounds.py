@@ -10,19 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from granflow import ParticleData, Plan, RunError, Scene, Simulation
 from granflow.contact import theory
-from granflow.contact.material import PairMaterial
-from granflow.contact.model import NormalLaw
-from granflow.contact.normal.thornton import ThorntonCollision
-from granflow.engine.backend import start
-from granflow.engine.engine import Engine
-from granflow.engine.host_copy import copy_to_host
-from granflow.engine.limits import NO_PARTICLE
-from granflow.particles.generate import ParticleData
-from granflow.plan.plan import Plan, pair_cases_of, plan_for
-from granflow.plan.time_step import PairCase, stable_step
 from granflow.scene.schema.run import LARGEST_OVERLAP
-from granflow.scene.schema.scene import Scene
+from granflow.studies.collision_bench import sphere_mass
+from granflow.studies.reference_path import Impact, loading_path
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
@@ -100,44 +92,37 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
     `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
     one engine.
     """
-    plan = plan_for(_scene(law, FRICTION if friction else 0.0))
-    engine, bounds = Engine(plan, start("cpu", "f64")), []
+    simulation, bounds = Simulation(_scene(law, FRICTION if friction else 0.0)), []
+    plan = simulation.plan
     for name, lattice in LATTICES.items():
         pair_case = _pair_case(plan, lattice)
-        allowed = stable_step(pair_case, plan.law, VELOCITY)
-        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*_pair_arguments(pair_case)))
-        particles = _particles(lattice, overlap_at(plan.law, pair_case), friction)
-        bound = _find_bound(engine, particles, allowed)
+        impact = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY)
+        allowed = plan.stable_step(pair_case, VELOCITY)
+        scale = np.sqrt(pair_case.mass_eff / plan.law.stable_stiffness(*impact))
+        particles = _particles(lattice, overlap_at(plan, impact), friction)
+        bound = _find_bound(simulation, particles, allowed)
         bounds.append(Bound(law, friction, name, bound, allowed, float(scale)))
-    engine.free()
+    simulation.free()
     return bounds
 
 
-def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
-    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check.
+def overlap_at(plan: Plan, impact: Impact) -> float:
+    """Maximum overlap [m] of a collision, without the effect of a dashpot.
 
-    Thornton's model with its yield overlap; Hertzian models with Zhou (2011), Eq. 5; linear springs with v sqrt(M/K).
+    Viscous Hertz contacts: Zhou (2011), Eq. 5; viscous linear springs: v sqrt(M/K); others: from the loading work.
     """
-    pair, radius, mass, speed = _pair_arguments(pair_case)
-    k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
-    if law.name == "thornton":
-        pressure = law.pair_constants(pair)[2]
-        yield_overlap = radius * (0.5 * np.pi * pressure / pair.modulus_eff) ** 2
-        return ThorntonCollision(k, radius, mass, speed, pressure, yield_overlap).overlap_max
-    if law.tangential_stiffness_grows:
-        return float(theory.overlap_max(k, mass, speed))
-    return speed * float(np.sqrt(mass / law.loading_stiffness(*_pair_arguments(pair_case))))
+    pair, radius, mass, speed = impact
+    if not plan.law.rate_dependent:
+        return loading_path(plan, impact)["overlap_max_theory"]
+    if plan.law.tangential_stiffness_grows:
+        return float(theory.overlap_max(theory.hertz_stiffness(pair.modulus_eff, radius), mass, speed))
+    return speed * float(np.sqrt(mass / plan.law.loading_stiffness(*impact)))
 
 
-def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
-    """Pair, effective radius [m], effective mass [kg] and velocity [m/s] for stiffness functions."""
-    return pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, VELOCITY
-
-
-def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
+def _pair_case(plan: Plan, lattice: TestLattice) -> Any:
     """Pair case of a lattice: free particles with each other, or with anchors only."""
     partner = "free" if lattice.has_free_pairs else "anchors"
-    pair_case = next(each for each in pair_cases_of(plan.scene) if each.name == f"free-{partner}")
+    pair_case = next(each for each in plan.pair_cases if each.name == f"free-{partner}")
     return replace(pair_case, contact_count=lattice.max_contacts)
 
 
@@ -155,7 +140,7 @@ def _scene(law: str, friction: float) -> Scene:
     side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
     region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
     group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Stability limit of the time step",
         "gravity": [0, 0, 0],
         "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
@@ -194,7 +179,7 @@ def _particles(lattice: TestLattice, overlap: float, with_friction: bool) -> Par
     )
 
 
-def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> float:
+def _find_bound(simulation: Simulation, particles: ParticleData, allowed: float) -> float:
     """Time step [s] above which the perturbation grows, by bisection on a logarithmic scale.
 
     `allowed` [s]: limit of the check; the search range is LOWEST to HIGHEST times it.
@@ -202,24 +187,24 @@ def _find_bound(engine: Engine, particles: ParticleData, allowed: float) -> floa
     low, high = LOWEST * allowed, HIGHEST * allowed
     while high > RESOLUTION * low:
         middle = float(np.sqrt(low * high))
-        low, high = (low, middle) if _is_unstable(engine, particles, middle) else (middle, high)
+        low, high = (low, middle) if _is_unstable(simulation, particles, middle) else (middle, high)
     return float(np.sqrt(low * high))
 
 
-def _is_unstable(engine: Engine, particles: ParticleData, step: float) -> bool:
+def _is_unstable(simulation: Simulation, particles: ParticleData, step: float) -> bool:
     """Whether the perturbation grows at this time step [s], or the run aborts."""
-    _restart(engine, particles, step)
-    mass = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
+    simulation.restart(particles, step)
+    mass = sphere_mass(RADIUS, DENSITY)
     initial_energy = _kinetic(particles.velocity, particles.angular_velocity, mass)
     for _ in range(CHECKS):
-        engine.advance(STEPS_PER_CHECK)
-        if engine.aborted:
+        try:
+            simulation.step(STEPS_PER_CHECK)
+        except RunError:
             return True
-        arrays = copy_to_host(engine.state, ("mass", "velocity", "angular_velocity"))
-        free = arrays["mass"] < 10.0 * mass
-        if not _kinetic(
-            arrays["velocity"][free], arrays.get("angular_velocity", np.zeros((len(free), 3)))[free], mass
-        ) < (GROWTH_LIMIT * initial_energy):
+        arrays = simulation.snapshot().particles
+        free = arrays["material"] == 0
+        energy = _kinetic(arrays["velocity"][free], arrays["angular_velocity"][free], mass)
+        if not energy < GROWTH_LIMIT * initial_energy:
             return True
     return False
 
@@ -232,14 +217,3 @@ def _kinetic(velocity: np.ndarray, angular_velocity: np.ndarray, mass: float) ->
     `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s].
     """
     return 0.5 * mass * float(np.sum(velocity**2) + 0.4 * RADIUS**2 * np.sum(angular_velocity**2))
-
-
-def _restart(engine: Engine, particles: ParticleData, step: float) -> None:
-    """Reset the engine to the initial particles with another time step [s]; no kernel is recompiled."""
-    engine.state.clock.change(step)
-    control = engine.state.control
-    for position in (3.0 * particles.position, particles.position):  # first separated, which clears the contact history
-        engine.state.count = 0
-        control.abort[0], control.abort_particle[0] = 0, NO_PARTICLE
-        engine.insert(replace(particles, position=position))
-        engine.refresh()

@@ -7,7 +7,7 @@ from math import nan
 from multiprocessing.connection import Connection
 from typing import Any
 
-from granflow.engine.backend import start
+from granflow import start
 from granflow.studies.stability.cases import CaseOutcome, CaseResult, StabilityCase, case_outcome, run_case
 
 WORKER_COUNT = 2
@@ -77,6 +77,6 @@ def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeo
 
 def _run_in_worker(pipe: Any, cases: Sequence[StabilityCase]) -> None:
     """Worker process: start Taichi, run the cases and send each outcome."""
-    start("cpu", cases[0].precision, 1)
+    start("cpu", cases[0].precision, 1)  # type: ignore[arg-type]
     for case in cases:
         pipe.send(run_case(case))
