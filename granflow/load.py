@@ -1,16 +1,49 @@
-"""Scenes from files and from text: read, validated and resolved."""
+"""Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from granflow.errors import SceneError
 from granflow.io.regular_files import resolved
-from granflow.particles.resolve import resolve_scene
+from granflow.particles.resolve import resolved_input
 from granflow.scene.document import DocumentError
+from granflow.scene.mapping import document_of
 from granflow.scene.reader import document_in, scene_in
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import Precision, SceneInput
 from granflow.scene.yaml12 import parse
+
+
+class Scene(SceneInput):
+    """A validated and resolved scene, ready for a run: SI units, all counts known, at scale 1. Immutable.
+
+    `load` and `from_dict` create scenes. A copy with other values (`model_copy`) is neither validated nor resolved.
+    """
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> "Scene":
+        """The scene of a mapping with the keys of a scene file.
+
+        Values: numbers in SI units or text with units, lists, numpy arrays, mappings. Paths in the scene are relative
+        to `folder` (default: the working directory). Raises SceneError with all problems, each with its key path.
+        """
+        return cls._resolved(scene_in(document_of(data), folder=Path(folder or "")), read=True)
+
+    @classmethod
+    def _resolved(cls, written: SceneInput, read: bool) -> "Scene":
+        """The resolved form of a scene as written; `read`: read particle files again. Raises SceneError."""
+        source = resolved_input(written, read)
+        scene = cls.model_construct(source.model_fields_set, **dict(source))
+        for name in source.__private_attributes__:
+            setattr(scene, name, getattr(source, name))
+        if read and scene.start_from is not None:
+            scene = scene.model_copy(update={"start_from": str(_earlier_run(scene))})
+        return scene
+
+    def with_precision(self, precision: Precision) -> "Scene":
+        """The same scene with another floating-point precision."""
+        return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
@@ -21,24 +54,9 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
 
     Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
     """
-    scene = scene_in(document_in(Path(path)), overrides, Path(path).parent)
-    scene._path = Path(path)
-    scene = resolve_scene(scene, read=True)
-    if scene.start_from is not None:
-        scene = scene.model_copy(update={"start_from": str(_earlier(path, scene))})
-    return scene
-
-
-def _earlier(path: str | os.PathLike[str], scene: Scene) -> Path:
-    """The directory in `start_from`, relative to the folder of the scene file.
-
-    Raises SceneError if it cannot be read.
-    """
-    try:
-        return resolved(Path(path).parent / str(scene.start_from))
-    except OSError as error:
-        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
-        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None
+    written = scene_in(document_in(Path(path)), overrides, Path(path).parent)
+    written._path = Path(path)
+    return Scene._resolved(written, read=True)
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
@@ -47,6 +65,16 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     Particle files are not read again if the text contains their summary. Raises the same errors as `load`.
     """
     try:
-        return resolve_scene(scene_in(parse(text, source), overrides, Path(source).parent))
+        written = scene_in(parse(text, source), overrides, Path(source).parent)
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
+    return Scene._resolved(written, read=False)
+
+
+def _earlier_run(scene: Scene) -> Path:
+    """The directory in `start_from`, relative to the folder of the scene. Raises SceneError if it cannot be read."""
+    try:
+        return resolved(scene.folder / str(scene.start_from))
+    except OSError as error:
+        reason = f"start_from is {scene.start_from}, which cannot be read: {error.strerror}"
+        raise SceneError(f"{scene.locate('start_from')}: {reason}.") from None

@@ -20,11 +20,11 @@ from granflow.io.atomic_files import remove_parts
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import locked
 from granflow.io.log import run_log, write_scene_as_run
+from granflow.load import Scene
 from granflow.observers.base import Checkpointable, Observer
 from granflow.observers.build import observers_for, progress_for, time_series_for
 from granflow.observers.timeseries import TimeSeries
 from granflow.particles.generate import initial_particles
-from granflow.particles.resolve import resolve_scene
 from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
 from granflow.plan.plan import Plan, plan_for
 from granflow.plan.run_time import refuse_run_time
@@ -38,7 +38,7 @@ from granflow.runs.result import Result, write_result
 from granflow.runs.resume import Change, CheckpointWriter, accepted_change, plan_fingerprint
 from granflow.runs.stage_progress import REST_CHECKS, StageProgress
 from granflow.runs.timings import Readings, WallClock, collect_result, log_plan
-from granflow.scene.schema.scene import Scene, Stage
+from granflow.scene.schema.scene import Stage
 from granflow.snapshot import Snapshot
 
 CHUNK_SECONDS = 0.2
@@ -53,7 +53,7 @@ TOTALS = frozenset({"totals"})
 class Simulation:
     """One run of one scene.
 
-    scene:          scene as read; it is resolved first
+    scene:          scene of `load_scene` or `Scene.from_dict`
     arch:           architecture, "cpu" by default
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
@@ -84,8 +84,8 @@ class Simulation:
         allow_long: bool = False,
     ) -> None:
         if precision is not None:
-            scene = scene.model_copy(update={"run": scene.run.model_copy(update={"precision": precision})})
-        self.scene = scene = resolve_scene(scene)
+            scene = scene.with_precision(precision)
+        self.scene = scene
         self.out = None if out is None else Path(out)
         self._wall_clock = WallClock()
         backend = start(arch, scene.run.precision, threads)

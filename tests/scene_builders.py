@@ -4,8 +4,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.observers.interval import every
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
@@ -42,7 +42,7 @@ def build_scene(groups, walls=None, pair=None, **parts):
         "run": {"duration": 1.0},
         "output": {"interval": 1.0},
     }
-    return Scene.model_validate(scene | parts)
+    return Scene.from_dict(scene | parts)
 
 
 def plane(point, normal, material="glass", **more):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
 ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
 """Values of --arch; gpu selects the first available GPU backend."""

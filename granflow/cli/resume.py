@@ -15,7 +15,7 @@ from granflow.visible_text import VisibleFormatter
 
 if TYPE_CHECKING:
     from granflow.io.checkpoint import Checkpoint
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
     from granflow.simulation import Simulation
 
 EXIT_EXPECTATIONS_FAILED = 1

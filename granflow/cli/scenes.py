@@ -13,7 +13,7 @@ from granflow.cli.messages import say, warn
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,8 +9,8 @@ from granflow.errors import SceneError
 from granflow.geometry.catalog import distance_from, reach_about
 from granflow.geometry.motion import single_rotation
 from granflow.geometry.periodic_box import AXES, PeriodicBox
+from granflow.load import Scene
 from granflow.plan.walls import PlannedWall, wall_motions
-from granflow.scene.schema.scene import Scene
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""

@@ -13,9 +13,10 @@ from granflow.geometry.mesh.mesh import Mesh, mesh_of
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
 from granflow.io.regular_files import resolved
+from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.fields import Vector3
-from granflow.scene.schema.scene import MeshWall, Scene, Wall
+from granflow.scene.schema.scene import MeshWall, Wall
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0
 """Ratios of mesh size to domain size above which a mesh is refused, or causes a warning: wrong unit of length."""

@@ -3,7 +3,8 @@
 import math
 
 from granflow.errors import SceneError
-from granflow.scene.schema.scene import RotationSpec, Scene, VibrationSpec
+from granflow.load import Scene
+from granflow.scene.schema.scene import RotationSpec, VibrationSpec
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""

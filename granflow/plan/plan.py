@@ -21,6 +21,7 @@ from granflow.errors import SceneError
 from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.load import Scene
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
@@ -41,7 +42,7 @@ from granflow.plan.travel import (
 )
 from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
-from granflow.scene.schema.scene import Group, RestitutionFit, Scene
+from granflow.scene.schema.scene import Group, RestitutionFit
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""

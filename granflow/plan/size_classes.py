@@ -1,6 +1,7 @@
 """Range of particle sizes before sampling, and size classes with separate cell grids."""
 
-from granflow.scene.schema.scene import ClassSizes, FileInsertion, Group, Scene
+from granflow.load import Scene
+from granflow.scene.schema.scene import ClassSizes, FileInsertion, Group
 
 CLASSES_FROM_RATIO = 3.0
 """Ratio of largest to smallest radius from which the neighbor search uses size classes."""

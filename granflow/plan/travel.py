@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 
 from granflow.errors import SceneError
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.load import Scene
+from granflow.scene.schema.scene import LARGEST_OVERLAP
 
 STEP_SHARE = 1.0 - LARGEST_OVERLAP
 """Largest distance per step, of a particle and of a wall, over the smallest radius R.

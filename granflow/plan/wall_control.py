@@ -11,10 +11,10 @@ from granflow.contact.model import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import unit
+from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema import scene as scene_schema
-from granflow.scene.schema.scene import Scene
 
 GAIN_SHARE = 0.2
 """Share of the force error that a servo corrects in one step, if all particles within reach are in contact."""

@@ -11,9 +11,9 @@ from granflow.geometry import motion, plane, revolved
 from granflow.geometry.catalog import Surface, area_of, reach_about
 from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
+from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
 from granflow.scene.schema import scene as scene_schema
-from granflow.scene.schema.scene import Scene
 
 StageTimes = Mapping[str, tuple[float, float]]
 """Start and end [s] of each stage that has begun; the end is infinite during the stage."""

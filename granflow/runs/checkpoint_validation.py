@@ -6,10 +6,10 @@ import numpy as np
 
 from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
+from granflow.load import Scene
 from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
 from granflow.plan.plan import Plan
 from granflow.runs.checkpoint_neighbors import check_neighbors
-from granflow.scene.schema.scene import Scene
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from granflow.io.atomic_files import replacing
 from granflow.io.regular_files import resolved
+from granflow.load import Scene
 from granflow.plan.meshes import mesh_path
-from granflow.scene.schema.scene import FileInsertion, MeshWall, Scene
+from granflow.scene.schema.scene import FileInsertion, MeshWall
 
 RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
 """Names of result files: a particle file with such a name is not copied, because the run writes its own."""

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.engine import Engine
+from granflow.load import Scene
 from granflow.particles.generate import inserters
-from granflow.scene.schema.scene import ClassSizes, Scene
+from granflow.scene.schema.scene import ClassSizes
 
 
 class ParticleInsertion:

@@ -14,13 +14,13 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
 from granflow.io.checkpoint import Checkpoint, remove_old_checkpoints, write_checkpoint
-from granflow.load import scene_of
+from granflow.load import Scene, scene_of
 from granflow.observers.schedule import Schedule
 from granflow.plan.plan import Plan
 from granflow.plan.walls import StageTimes, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
-from granflow.scene.schema.scene import Checkpoints, Scene
+from granflow.scene.schema.scene import Checkpoints
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""

@@ -5,8 +5,8 @@ from math import inf
 from typing import Any
 
 from granflow.engine.engine import Engine
+from granflow.load import Scene
 from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wall_presence
-from granflow.scene.schema.scene import Scene
 
 REST_CHECKS = 200
 """Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""

@@ -25,7 +25,7 @@ from granflow.scene.schema.insertion import (
     RectangleFace,
 )
 from granflow.scene.schema.materials import RestitutionFit
-from granflow.scene.schema.scene import Plane, Scene, Stage, Wall
+from granflow.scene.schema.scene import Plane, SceneInput, Stage, Wall
 from granflow.scene.schema.walls import FreeWallSpec, ServoSpec, VibrationSpec
 from granflow.scene.suggest import nearest, suggestion_or_list
 from granflow.scene.validation import PartialScene
@@ -120,7 +120,7 @@ def _missing_pairs(scene_parts: PartialScene) -> Iterator[Violation]:
             yield ("pairs", key), Fault((), reason, whole=True)
 
 
-def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
+def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozenset[str], str]:
     """Material pairs whose particles or walls can come into contact, with the reason.
 
     Fixed particles touch neither each other nor walls; a material with a single particle does not touch itself.
@@ -144,7 +144,7 @@ def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str
     return found
 
 
-def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
+def _counts(scene: SceneInput, names: set[str], fixed: bool) -> dict[str, int]:
     """Number of fixed particles, or of mobile ones, for each of these materials.
 
     A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles.
@@ -343,7 +343,7 @@ def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> tu
     return low, high  # type: ignore[return-value]
 
 
-def _flow_meter_names(scene: Scene) -> list[str]:
+def _flow_meter_names(scene: SceneInput) -> list[str]:
     """Names of flow meters and of their separate counts per material or group, such as `outlet.glass`."""
     names = scene.output.flow_meters
     return [*names, *(f"{name}.{part}" for name in names for part in scene.flow_meter_parts(name))]

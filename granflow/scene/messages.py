@@ -12,7 +12,7 @@ from pydantic import BaseModel, Tag, ValidationError
 
 from granflow.scene.document import Document, KeyPath, Node, Problem
 from granflow.scene.schema.fields import Fault
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest, suggestion_or_list
 
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
@@ -94,7 +94,7 @@ class _SchemaError:
     def suggested(self) -> Iterator[KeyPath]:
         """Path of the suggested key for an unknown key."""
         if self.type == "extra_forbidden":
-            near = nearest(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])))
+            near = nearest(str(self.path[-1]), _keys(model_at(SceneInput, self.loc[:-1])))
             if near:
                 yield (*self.path[:-1], near)
 
@@ -109,7 +109,7 @@ class _SchemaError:
         if self.type == "literal_error":
             return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
         if self.type in ("model_type", "model_attributes_type"):
-            keys = ", ".join(_keys(model_at(Scene, self.loc)))
+            keys = ", ".join(_keys(model_at(SceneInput, self.loc)))
             return self._but(self.path, f"a mapping with the keys {keys} is expected")
         if self.of_key:
             return self._whole(f"is not valid here: {self.message}")
@@ -124,12 +124,12 @@ class _SchemaError:
         return problem_at(self.document, self.path, Fault((), reason, whole=True))
 
     def _unknown(self) -> Problem:
-        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(Scene, self.loc[:-1])), "known keys")
+        remedy = suggestion_or_list(str(self.path[-1]), _keys(model_at(SceneInput, self.loc[:-1])), "known keys")
         return self._whole(f"is not a known key. {remedy}")
 
     def _description(self) -> str:
         """Description of the missing key from the schema."""
-        model = model_at(Scene, self.loc[:-1])
+        model = model_at(SceneInput, self.loc[:-1])
         fields = model.model_fields.values() if model else ()
         texts = {field.alias: field.description for field in fields if field.alias}
         texts |= {name: field.description for name, field in model.model_fields.items()} if model else {}
@@ -141,7 +141,7 @@ class _SchemaError:
         The message lists the values of the key, or the reason that the union gives.
         """
         key = self.context.get("key", "")
-        tags = [tag.strip("<>") for tag in tags_at(Scene, self.loc)]
+        tags = [tag.strip("<>") for tag in tags_at(SceneInput, self.loc)]
         tags = tags if key == "kind" else [tag for tag in tags if tag not in ("number", "list", "none")]
         node = self.document.find(self.path)
         if node is None or "reason" in self.context:
@@ -173,7 +173,7 @@ class _SchemaError:
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
     """The model at the location of an error; None for a plain value.
 
-    `annotation`: type at the root, such as Scene; `loc`: location as in pydantic, with union tags.
+    `annotation`: type at the root, such as SceneInput; `loc`: location as in pydantic, with union tags.
     """
     found = _annotation_at(annotation, loc)
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None

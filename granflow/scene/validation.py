@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from granflow.scene.document import Document, KeyPath
 from granflow.scene.schema.fields import Fault, Model
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 
 @dataclass(frozen=True)
@@ -17,20 +17,20 @@ class PartialScene:
     """A scene that may lack parts.
 
     `scene` has the sections in `complete`, and the valid entries of sections with named entries. `parts`: key path ->
-    valid part, for checks within each part. The instance of Scene may lack required fields and must not be used for a
+    valid part, for checks within each part. The scene may lack required fields and must not be used for a
     run.
     """
 
     document: Document
-    scene: Scene
+    scene: SceneInput
     complete: frozenset[str]
     parts: Mapping[KeyPath, Any]
 
     @classmethod
-    def of(cls, document: Document, scene: Scene) -> "PartialScene":
+    def of(cls, document: Document, scene: SceneInput) -> "PartialScene":
         """The partial scene of a scene that satisfies the schema: all sections are complete."""
-        sections: dict[KeyPath, Any] = {(name,): getattr(scene, name) for name in Scene.model_fields}
-        return cls(document, scene, frozenset(Scene.model_fields), sections)
+        sections: dict[KeyPath, Any] = {(name,): getattr(scene, name) for name in SceneInput.model_fields}
+        return cls(document, scene, frozenset(SceneInput.model_fields), sections)
 
     def names(self, section: str) -> tuple[str, ...]:
         """All names in a section of the file, including invalid entries, and names in lowercase.
@@ -55,7 +55,7 @@ def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScen
     parts: dict[KeyPath, Any] = {}
     sections: dict[str, Any] = {}
     complete = set()
-    for name, field in Scene.model_fields.items():
+    for name, field in SceneInput.model_fields.items():
         if name not in data:
             if not field.is_required():
                 sections[name] = field.get_default(call_default_factory=True)
@@ -71,7 +71,7 @@ def partial_scene_of(document: Document, data: Mapping[str, Any]) -> PartialScen
             sections[name] = {key[0]: part for key, part in valid.items()}
         elif is_complete:
             sections[name] = valid[()] if () in valid else tuple(valid.values())
-    return PartialScene(document, Scene.model_construct(**sections), frozenset(complete), parts)
+    return PartialScene(document, SceneInput.model_construct(**sections), frozenset(complete), parts)
 
 
 def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
@@ -79,7 +79,7 @@ def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
 
     The key is () for a section that is one part, (name,) or (index,) for an entry of a mapping or list.
     """
-    origin = get_origin(Scene.model_fields[name].annotation)
+    origin = get_origin(SceneInput.model_fields[name].annotation)
     entries: list[tuple[KeyPath, Any]] = [((), value)]
     if origin is dict:
         entries = [((key,), each) for key, each in value.items()] if isinstance(value, dict) else []
@@ -97,7 +97,7 @@ def _section(name: str, value: Any) -> tuple[dict[KeyPath, Any], bool]:
 @cache
 def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
     """The pydantic validator of a section, or of one entry of it."""
-    field = Scene.model_fields[section]
+    field = SceneInput.model_fields[section]
     if not is_entry:
         kind: Any = field.annotation
         for meta in field.metadata:

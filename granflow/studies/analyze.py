@@ -10,12 +10,12 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.fields import CONTACT_QUANTITIES, METRIC_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.io.regular_files import read_regular_text
+from granflow.load import Scene
 from granflow.observers.base import CONTACTS
 from granflow.observers.build import field_frames
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
-from granflow.scene.schema.scene import Scene
 from granflow.snapshot import Snapshot
 from granflow.studies.render.frames import Frame, frames_of, is_empty, read_mesh, read_particles
 

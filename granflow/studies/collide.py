@@ -14,14 +14,13 @@ from granflow.contact.registry import NORMAL_LAWS
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError, SceneError
+from granflow.load import Scene, scene_of
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, build_law, pair_material, plan_for
-from granflow.scene.reader import scene_in
 from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.writer import to_yaml
-from granflow.scene.yaml12 import parse
 
 WALL = "wall"
 """Name of the wall in the scene."""
@@ -152,7 +151,7 @@ def _read(described: dict[str, Any], settings: Sequence[str]) -> Scene:
 
     Raises SceneError as for a scene file; positions refer to the source "collide".
     """
-    return scene_in(parse(to_yaml(described), "collide"), [f"contact.normal.{each}" for each in settings])
+    return scene_of(to_yaml(described), "collide", [f"contact.normal.{each}" for each in settings])
 
 
 def _scene_of(

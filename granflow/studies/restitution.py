@@ -15,10 +15,11 @@ import numpy as np
 from granflow.contact.material import PairMaterial
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
+from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, pair_material, plan_for
 from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
@@ -170,7 +171,7 @@ def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing],
     material_pairs = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), any_pair)
            for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
     frictionless = {"friction": 0.0, "rolling_friction": None}
-    return Scene.model_validate(described | {
+    return Scene.from_dict(described | {
         "title": "Given and simulated restitution",
         "gravity": [0, 0, 0],
         "materials": {name: scene.materials[name] for name in used},

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.observers.base import CONTACTS, PARTICLES
 from granflow.observers.coarse_graining.field_grid import CoarseGrid, grid_for
 from granflow.observers.metrics.meter import MetricMeter
@@ -21,7 +22,6 @@ from granflow.scene.schema.analysis import (
     ReposeMetric,
 )
 from granflow.scene.schema.insertion import Box
-from granflow.scene.schema.scene import Scene
 from granflow.snapshot import Snapshot
 
 MIN_HEAP_CONTACTS = 2

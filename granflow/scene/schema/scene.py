@@ -115,7 +115,7 @@ __all__ = [
     "RestitutionFit",
     "RotationSpec",
     "RunSettings",
-    "Scene",
+    "SceneInput",
     "ServoSpec",
     "LeesEdwards",
     "SizeClass",
@@ -147,6 +147,9 @@ ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
 
 AutoLength = Annotated[float | Auto, Number("length", above=0, words=("auto",))]
 """Length [m], above 0, or auto."""
+
+Precision = Literal["f64", "f32", "mixed"]
+"""Floating-point precision of a run."""
 
 LARGEST_CHUNK = 1_000_000
 """Largest chunk size: larger chunks leave threads idle, and particle counts rounded up to chunks have 32 bits."""
@@ -267,7 +270,7 @@ class RunSettings(Model):
     velocity_max: Speed | None = Field(
         None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
     )
-    precision: Literal["f64", "f32", "mixed"] = Field(
+    precision: Precision = Field(
         "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
     )
 
@@ -394,11 +397,10 @@ class ExpectationSpec(Model):
             yield Fault(("between",), "the first value must be the smaller one")
 
 
-class Scene(Model):
-    """A complete scene, the input of a run, in SI units.
+class SceneInput(Model):
+    """A complete scene as written, in SI units: validated, but not resolved; `granflow.load.Scene` is.
 
-    Immutable. `load` reads it from a file; `text` writes it with all defaults. Methods `locate` and `where` give source
-    positions for messages.
+    Immutable. `text` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
     """
 
     title: Text = Field(description="title of the scene, one line")
@@ -438,7 +440,7 @@ class Scene(Model):
 
     def __eq__(self, other: object) -> bool:
         """Equality of the values; the source of the scenes does not matter."""
-        return isinstance(other, Scene) and self.__dict__ == other.__dict__
+        return isinstance(other, SceneInput) and self.__dict__ == other.__dict__
 
     __hash__ = None  # type: ignore[assignment]
 

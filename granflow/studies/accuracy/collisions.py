@@ -8,9 +8,9 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
+from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Scene
 from granflow.studies.accuracy.axes import (
     DISTANCE,
     PHASES,

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import RunError, SceneError
+from granflow.load import Scene
 from granflow.load import load as load_scene
 from granflow.observers.build import stage_durations
 from granflow.observers.interval import every
 from granflow.plan.plan import pair_cases_of, plan_for
 from granflow.plan.time_step import shortest_phase
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.snapshot import Snapshot
 from granflow.studies.restitution import QUICK_VELOCITIES

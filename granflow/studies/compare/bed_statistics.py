@@ -8,8 +8,8 @@ from math import inf
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.observers.base import CONTACTS
-from granflow.scene.schema.scene import Scene
 from granflow.snapshot import Snapshot
 from granflow.studies.compare.contact_durations import ContactFollower, FollowedContacts
 

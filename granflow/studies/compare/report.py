@@ -9,8 +9,8 @@ import numpy as np
 
 from granflow.engine.backend import start
 from granflow.errors import GranflowError
+from granflow.load import Scene
 from granflow.runs.result import readable
-from granflow.scene.schema.scene import Scene
 from granflow.studies.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,

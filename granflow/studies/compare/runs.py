@@ -13,11 +13,11 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.errors import GranflowError, RunError, SceneError
+from granflow.load import Scene
 from granflow.observers.build import stage_durations
 from granflow.observers.flow_meters import steady_flow
 from granflow.observers.interval import every
 from granflow.plan.plan import Plan, pair_cases_of
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival

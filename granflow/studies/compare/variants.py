@@ -9,13 +9,10 @@ from typing import Any
 
 from granflow.contact.registry import NORMAL_LAWS
 from granflow.errors import GranflowError, SceneError
+from granflow.load import Scene
 from granflow.plan.max_impact_velocity import max_impact_velocity
 from granflow.plan.plan import pair_material
-from granflow.scene.reader import scene_in
-from granflow.scene.schema.scene import Scene
 from granflow.scene.suggest import suggestion_or_list
-from granflow.scene.writer import to_yaml
-from granflow.scene.yaml12 import parse
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
 """Directories of the two variants of the linear contact model: spring per contact, and from the reference velocity."""
@@ -76,9 +73,8 @@ def variants_of(
     found = []
     for key, title, normal in _normals(scene, laws, reference_velocity):
         described = _described(scene, normal, reference_velocity, most_particles)
-        text = parse(to_yaml(described), f"{scene.path.name or 'scene'} with {title}", with_positions=False)
         try:
-            found.append(LawVariant(key, title, normal, scene_in(text, folder=scene.folder)))
+            found.append(LawVariant(key, title, normal, Scene.from_dict(described, scene.folder)))
         except SceneError as error:
             found.append(LawVariant(key, title, normal, None, "; ".join(error.problems)))
     return found

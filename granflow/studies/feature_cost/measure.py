@@ -14,10 +14,10 @@ from granflow.engine.engine import Engine
 from granflow.engine.limits import abort_message
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.motion import Motion
+from granflow.load import Scene
 from granflow.particles.generate import ParticleData
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.feature_cost.variants import FeatureVariant, variants_of
 

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from granflow.load import Scene
 from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Contact, MaterialPair, Scene
+from granflow.scene.schema.scene import Contact, MaterialPair
 
 FRICTION, ROLLING_FRICTION = 0.3, 0.02
 """Coefficients of every pair if a variant adds the feature to the scene."""

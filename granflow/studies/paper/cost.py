@@ -9,9 +9,9 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
+from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import plan_for
-from granflow.scene.schema.scene import Scene
 from granflow.studies.paper.cases import PAPER_CASES
 from granflow.studies.paper.comparison import CandidateModel
 
@@ -74,7 +74,7 @@ def _timed(engine: Engine) -> float:
 
 def _engine(model: CandidateModel, backend: Backend) -> Engine:
     """Engine with the lattice for a model, ready to run."""
-    scene = Scene.model_validate(_lattice(model, backend.precision))
+    scene = Scene.from_dict(_lattice(model, backend.precision))
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
     engine = Engine(plan, backend)
     engine.insert(initial_particles(scene))

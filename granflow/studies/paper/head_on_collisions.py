@@ -11,9 +11,10 @@ import numpy as np
 from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
+from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.plan import Plan, pair_cases_of, plan_for
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.scene import LARGEST_OVERLAP
 
 LONGEST = 40.0
 """Maximum length of a collision in units of its expected duration."""
@@ -123,7 +124,7 @@ def side_by_side(
         first_ids[members] = placed + 2 * np.arange(len(members))
         placed += 2 * len(members)
     reach = spacing * (side + 1) + abs(middle)
-    scene = Scene.model_validate({
+    scene = Scene.from_dict({
         "title": "Independent head-on collisions",
         "gravity": [0, 0, 0],
         "materials": materials,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene
 from granflow.simulation import Simulation
 from granflow.studies.figures import COLORS, POINTS
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
@@ -143,7 +143,7 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
         groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
     pair = {"restitution": setup.restitution, "friction": setup.friction}
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Independent oblique impacts",
         "gravity": [0, 0, 0],
         "materials": {"sphere": setup.sphere, "plate": setup.plate},

@@ -8,8 +8,7 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.load import load
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene, load
 from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
 from granflow.studies.render.camera import Camera, View, aspect_of, camera_for, view_of
 from granflow.studies.render.colors import Scale, scale_for, values_of

@@ -8,8 +8,7 @@ from typing import Any
 from granflow.errors import GranflowError
 from granflow.io.lock import locked
 from granflow.io.regular_files import read_regular_text, resolved
-from granflow.load import load
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene, load
 from granflow.studies.report.log import LogEntry, RunSession, read_log, sessions
 from granflow.studies.report.series import TimeSeriesTable, read_series
 

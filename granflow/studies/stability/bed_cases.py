@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.plan.plan import Plan, plan_for
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.stability.cases import CaseResult
 
@@ -36,7 +36,7 @@ def scene_with(law: str, particles: Mapping[str, Any], duration: float, **change
     solid = {"young_modulus": changes.get("young_modulus", YOUNG), "poisson_ratio": POISSON}
     pair = {"restitution": 0.5, "friction": changes.get("friction", 0.3)}
     reach = changes.get("reach", 10.0 * SIDE)
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Many particles in an extreme case",
         "gravity": [0, 0, -changes.get("gravity", GRAVITY)],
         "materials": {

@@ -13,8 +13,8 @@ import numpy as np
 from granflow.contact import theory
 from granflow.contact.material import VelocityRestitution
 from granflow.engine.backend import Precision
+from granflow.load import Scene
 from granflow.plan.plan import plan_for
-from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.stability.cases import CaseResult
 
@@ -125,7 +125,7 @@ def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: flo
     reach = spacing * (side + 1)
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
 
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Head-on collisions",
         "gravity": [0, 0, 0],
         "materials": materials,

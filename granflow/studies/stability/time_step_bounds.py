@@ -17,10 +17,11 @@ from granflow.contact.normal.thornton import ThorntonCollision
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.engine.limits import NO_PARTICLE
+from granflow.load import Scene
 from granflow.particles.generate import ParticleData
 from granflow.plan.plan import Plan, pair_cases_of, plan_for
 from granflow.plan.time_step import PairCase, stable_step
-from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
+from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
@@ -153,7 +154,7 @@ def _scene(law: str, friction: float) -> Scene:
     side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
     region = {"box": {"min": [-side] * 3, "max": [side] * 3}}
     group = {"count": count, "diameter": 2 * RADIUS, "insert": {"kind": "lattice", "region": region}}
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": "Stability limit of the time step",
         "gravity": [0, 0, 0],
         "materials": {"light": {**solid, "density": DENSITY}, "heavy": {**solid, "density": DENSITY * ANCHOR}},
