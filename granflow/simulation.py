@@ -25,9 +25,11 @@ from granflow.observers.base import Checkpointable, Observer
 from granflow.observers.build import observers_for, progress_for, time_series_for
 from granflow.observers.timeseries import TimeSeries
 from granflow.particles.generate import initial_particles
+from granflow.plan.build import plan_for
 from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
-from granflow.plan.plan import Plan, plan_for
+from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
+from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_observers import check_observers, check_streams
 from granflow.runs.initial_from_run import particles_from_run
@@ -38,7 +40,6 @@ from granflow.runs.result import Result, write_result
 from granflow.runs.resume import Change, CheckpointWriter, accepted_change, plan_fingerprint
 from granflow.runs.stage_progress import REST_CHECKS, StageProgress
 from granflow.runs.timings import Readings, WallClock, collect_result, log_plan
-from granflow.scene.schema.scene import Stage
 from granflow.snapshot import Snapshot
 
 CHUNK_SECONDS = 0.2
@@ -96,7 +97,7 @@ class Simulation:
         refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
-        change = accepted_change(resume, self.plan, allow_changes) if resume is not None else None
+        change = accepted_change(resume, scene, self.plan, allow_changes) if resume is not None else None
         earlier = particles_from_run(scene) if resume is None else resume.saved["earlier"]
         self._earlier = list(earlier)
         particles = initial_particles(scene, earlier) if resume is None else None
@@ -105,7 +106,7 @@ class Simulation:
             self.out.mkdir(parents=True, exist_ok=True)
         self.engine = Engine(self.plan, backend)
         self._engine_checkpoint = EngineCheckpoint(self.engine)
-        self._stage_progress = StageProgress.of(scene)
+        self._stage_progress = StageProgress.of(self.plan)
         self._observers = [*self._default_observers(progress), *observers]
         self._chunk_steps = 1
         self._stop_requested: BaseException | None = None
@@ -162,7 +163,7 @@ class Simulation:
         if self._writer is not None:
             self._writer.start(self.time)
         end = inf if until is None else until
-        for stage in self.scene.schedule:
+        for stage in self.plan.stages:
             if self.time < end and not self._stage_progress.has_ended(stage.name):
                 self._run_stage(stage, end)
         self._save()
@@ -170,7 +171,7 @@ class Simulation:
         readings = {**self._readings(), "insertion": self._insertion.results()}
         result = collect_result(self.engine, self._wall_clock, last.totals, readings)
         if self.time < end or until is None:
-            result = result.with_expectations(self.scene.expect)
+            result = result.with_expectations(self.plan.expectations)
         self._log_end()
         if self.out is not None:
             write_result(self.out, result)
@@ -225,31 +226,28 @@ class Simulation:
             center = 0.5 * (self.plan.domain_low + self.plan.domain_high)
             extent = 0.5 * float(np.max(self.plan.domain_high - self.plan.domain_low))
             surfaces = {wall.name: triangles(wall.shape, center, extent) for wall in self.plan.walls}
-            found += observers_for(self.scene, self.out, surfaces)
-        elif self.scene.output.flow_meters or self.scene.output.metrics or self.scene.measured_walls:
-            found.append(time_series_for(self.scene, None))
+            found += observers_for(self.plan, self.out, surfaces)
+        elif self.plan.output.flow_meters or self.plan.output.metrics or self.plan.measured_walls:
+            found.append(time_series_for(self.plan, None))
         if progress:
-            found.append(progress_for(self.scene))
+            found.append(progress_for(self.plan))
         return found
 
-    def _run_stage(self, stage: Stage, end: float) -> None:
+    def _run_stage(self, stage: PlannedStage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
 
-        The stage ends after its duration, or, with `kinetic_energy_below`, at the first check at which the particles
-        are at rest; REST_CHECKS checks are distributed evenly over `max_duration`. A resumed stage continues at its
-        target.
+        The stage ends after its longest duration, or, with `kinetic_energy_below`, at the first check at which the
+        particles are at rest; REST_CHECKS checks are distributed evenly. A resumed stage continues at its target.
         """
-        max_duration = stage.duration if stage.duration is not None else stage.max_duration
-        assert max_duration is not None
         progress = self._stage_progress
         if stage.name not in progress.stage_times:
-            self._begin_stage(stage, max_duration / REST_CHECKS)
-        stop = progress.stage_times[stage.name][0] + max_duration
+            self._begin_stage(stage, stage.longest / REST_CHECKS)
+        stop = progress.stage_times[stage.name][0] + stage.longest
         while progress.target is not None or not self._reached(min(stop, end)):
             next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
             self._advance_to(min(stop, end, next_check, self._next_event()))
             if self._reached(next_check):
-                progress.next_check += max_duration / REST_CHECKS
+                progress.next_check += stage.longest / REST_CHECKS
                 if self._at_rest(stage):
                     break
         else:
@@ -257,12 +255,12 @@ class Simulation:
                 return
         progress.end(self.time)
 
-    def _at_rest(self, stage: Stage) -> bool:
+    def _at_rest(self, stage: PlannedStage) -> bool:
         """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
         limit = stage.kinetic_energy_below
         return limit is not None and self.engine.mean_kinetic_energy() < limit and self._insertion.is_done
 
-    def _begin_stage(self, stage: Stage, check_interval: float) -> None:
+    def _begin_stage(self, stage: PlannedStage, check_interval: float) -> None:
         """Begin a stage: place its walls, insert due particles, compute the forces.
 
         At the first stage, notify all observers and delete the results of the previous run in the directory.
@@ -270,7 +268,7 @@ class Simulation:
         first = not self._stage_progress.stage_times
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
         self._stage_progress.begin(stage.name, self.time, check_interval)
-        self._stage_progress.set_walls(self.scene, self.engine)
+        self._stage_progress.set_walls(self.engine)
         self._insertion.insert_due(self.engine)
         self.engine.refresh()
         if self.engine.diagnosis is not None:
@@ -346,7 +344,7 @@ class Simulation:
         """Insert particles that are due, and update the presence of walls."""
         inserted = self._insertion.insert_due(self.engine)
         if self._stage_progress.remove_past_changes(self.engine) or inserted:
-            self._stage_progress.set_walls(self.scene, self.engine)
+            self._stage_progress.set_walls(self.engine)
             self.engine.refresh()
 
     def _notify(
@@ -411,12 +409,12 @@ class Simulation:
         """
         saved = checkpoint.saved
         check_observers(checkpoint, {name: observer.state_dict() for name, observer in self._checkpointed()})
-        counts = {name: group.count for name, group in self.scene.particles.items()}
+        counts = {group.name: group.count for group in self.plan.groups}
         check_streams(checkpoint, self._insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         self._stage_progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
         self._engine_checkpoint.load_state_dict(
-            saved["engine"], wall_motions(self.scene, self._stage_progress.stage_times)
+            saved["engine"], wall_motions([wall.motions for wall in self.plan.walls], self._stage_progress.stage_times)
         )
         self._insertion.load_state_dict(saved["insertion"], self.engine)
         for name, observer in self._checkpointed():
@@ -425,9 +423,9 @@ class Simulation:
         self._wall_clock.load_state_dict(saved["wall_clock"])
         if change.affects_contacts:
             self._stage_progress.changes = tuple(
-                time for time in wall_change_times(self.scene) if not self._reached(time)
+                time for time in wall_change_times(self.plan.walls) if not self._reached(time)
             )
-            self._stage_progress.set_walls(self.scene, self.engine)
+            self._stage_progress.set_walls(self.engine)
             self.engine.refresh()
 
     def _checkpointed(self) -> list[tuple[str, Checkpointable]]:

@@ -141,10 +141,10 @@ class Engine:
         """
         if not len(new):
             return
-        scene, accounting, count = self.plan.scene, self.accounting, len(new)
-        density = np.array([scene.materials[name].density for name in scene.materials])
-        number = np.array([self._plan_number(name) for name in scene.materials])
-        fixed = np.array([group.fixed for group in scene.particles.values()])[new.group]
+        plan, accounting, count = self.plan, self.accounting, len(new)
+        density = np.array([solid.density for solid in plan.solids.values()])
+        number = np.array([self._plan_number(name) for name in plan.solids])
+        fixed = np.array([group.fixed for group in plan.groups])[new.group]
         arrays = {
             "id": accounting.inserted_count + np.arange(count),
             "material": number[new.material],
@@ -304,7 +304,7 @@ class Engine:
             ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed"), first, last
         )
         left_domain = self._count_outlets(arrays) < 0
-        if self.plan.scene.domain.on_exit == "error" and left_domain.any():
+        if self.plan.domain.on_exit == "error" and left_domain.any():
             self.state.control.abort[0] = ABORT_LEFT_DOMAIN
             self.state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
         kinetic, rotational, potential = mechanical_energy(arrays, self._gravity)
@@ -318,7 +318,7 @@ class Engine:
         position, outlets = arrays["position"], self.plan.outlets
         if not outlets:
             return np.full(len(position), -1)
-        checked_axes = [axis for axis in range(3) if self.plan.scene.domain.on_exit != "expand"]
+        checked_axes = [axis for axis in range(3) if self.plan.domain.on_exit != "expand"]
         low, high = self.plan.domain_low[checked_axes], self.plan.domain_high[checked_axes]
         in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
         outlet_index = outlet_of(outlets, position.astype(float), in_domain)

@@ -284,7 +284,7 @@ class Walls:
             if isinstance(wall.shape, Shape):
                 self.parameters[index] = wall.shape.parameters.tolist()
             if self.impulse_row is not None:
-                measured = plan.scene.measured_walls
+                measured = plan.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
 
 
@@ -343,7 +343,7 @@ class Control:
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
         energy_budget = plan.features.energy_budget
         self.losses = block.vector(ti.f64, plan.chunk_capacity, count=len(LOSSES)) if energy_budget else None
-        measured = len(plan.scene.measured_walls)
+        measured = len(plan.measured_walls)
         self.impulses = block.vector(ti.f64, plan.chunk_capacity, measured, count=IMPULSE_SIZE) if measured else None
         has_image_work = energy_budget and plan.features.periodic != "none"
         self.boundary_work = block.scalar(ti.f64, plan.chunk_capacity) if has_image_work else None

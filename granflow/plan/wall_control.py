@@ -45,6 +45,8 @@ class ControlledMotion:
     """Free wall: mass [kg]."""
     damping: float
     """Free wall: damping [kg/s]."""
+    source: str
+    """Line of the motion in the scene file."""
 
     @property
     def key(self) -> str:
@@ -98,7 +100,17 @@ def _servo(
         force = given.pressure * (area_of(wall.shape) or 0.0)
     gain = given.gain if given.gain is not None else GAIN_SHARE / (all_contacts * step)
     return ControlledMotion(
-        index, number, wall.name, "servo", _unit(given), force, gain, given.velocity_max, mass=1.0, damping=0.0
+        index,
+        number,
+        wall.name,
+        "servo",
+        _unit(given),
+        force,
+        gain,
+        given.velocity_max,
+        mass=1.0,
+        damping=0.0,
+        source=scene.where("walls", wall.name, "motion", number),
     )
 
 
@@ -120,7 +132,17 @@ def _free(
     direction = _unit(given)
     force = given.force + given.mass * float(np.dot(scene.gravity, direction))
     return ControlledMotion(
-        index, number, wall.name, "free", direction, force, 0.0, 0.0, mass=given.mass, damping=given.damping
+        index,
+        number,
+        wall.name,
+        "free",
+        direction,
+        force,
+        0.0,
+        0.0,
+        mass=given.mass,
+        damping=given.damping,
+        source=scene.where("walls", wall.name, "motion", number),
     )
 
 

@@ -142,11 +142,11 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name in MASSES:
         accounting[name].number(-LARGEST_REAL, LARGEST_REAL)
-    for outlet in accounting["outlets"].parts(plan.scene.outlets):
+    for outlet in accounting["outlets"].parts([outlet.name for outlet in plan.outlets]):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
-    accounting["material"].integers(inserted, high=len(plan.scene.materials) - 1)
-    accounting["group"].integers(inserted, high=len(plan.scene.particles) - 1)
+    accounting["material"].integers(inserted, high=len(plan.solids) - 1)
+    accounting["group"].integers(inserted, high=len(plan.groups) - 1)
 
 
 def _check_timing(clocks: Part) -> None:
@@ -210,7 +210,7 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.skin + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than the skin allows")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
-    if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
+    if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
 
 
@@ -232,7 +232,7 @@ def _check_wall_dynamics(dynamics: Part, plan: Plan) -> None:
 
 def _check_energy_budget(energy_budget: Part, plan: Plan) -> None:
     """Check the sums per chunk: `losses` (chunks, 5), `boundary_work` (chunks,), `impulses` (chunks, walls, 7)."""
-    features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.scene.measured_walls)
+    features, chunks, measured = plan.features, plan.chunk_capacity, len(plan.measured_walls)
     shapes: dict[str, tuple[int, ...]] = {}
     if features.energy_budget:
         shapes["losses"] = (chunks, len(LOSSES))

@@ -17,7 +17,7 @@ from granflow.io.checkpoint import Checkpoint, remove_old_checkpoints, write_che
 from granflow.load import Scene, scene_of
 from granflow.observers.schedule import Schedule
 from granflow.plan.plan import Plan
-from granflow.plan.walls import StageTimes, wall_motions
+from granflow.plan.walls import StageTimes, planned_motions, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
 from granflow.scene.schema.scene import Checkpoints
@@ -71,8 +71,8 @@ class Change:
         return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
-def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences between its scene and that of the plan.
+def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
+    """Check the checkpoint and return the differences between its scene and the present one, whose plan is `plan`.
 
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
@@ -81,10 +81,10 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
-    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
+    before = scene_of(checkpoint.scene, str(checkpoint.path))
     check_run(checkpoint, before, plan_fingerprint(plan))
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
-    refused = forbidden(before, now, stages_over)
+    refused = forbidden(before, scene, stages_over)
     if refused and not allow_changes:
         named = "\n".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
         raise GranflowError(
@@ -93,7 +93,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
     check_engine(checkpoint, plan, before)
-    return Change(differences(before, now))
+    return Change(differences(before, scene))
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
@@ -122,7 +122,8 @@ def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: floa
     corners of the domain.
     """
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
+    motions_before = [planned_motions(wall, before.gravity) for wall in before.walls.values()]
+    motions = [wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
         moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
         if moved > MAX_JUMP * plan.radius_min:

@@ -16,6 +16,7 @@ from granflow.observers.build import field_frames
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
+from granflow.plan.build import plan_for
 from granflow.snapshot import Snapshot
 from granflow.studies.render.frames import Frame, frames_of, is_empty, read_mesh, read_particles
 
@@ -31,8 +32,9 @@ def analyze(directory: Path, scene: Scene, out: Path) -> list[MetricRow]:
 
     Raises GranflowError if the scene requests nothing, if frames lack contacts, or if files cannot be read.
     """
-    meters = metric_meters(scene)
-    fields = [field_frames(scene, name, spec, out) for name, spec in scene.output.fields.items()]
+    plan = plan_for(scene)
+    meters = metric_meters(plan)
+    fields = [field_frames(plan, name, spec, out) for name, spec in scene.output.fields.items()]
     if not meters and not fields:
         raise GranflowError(
             "Nothing to analyze: the scene has neither output.metrics nor output.fields. Add one, such as "

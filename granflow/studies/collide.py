@@ -16,7 +16,9 @@ from granflow.engine.engine import Engine
 from granflow.errors import GranflowError, SceneError
 from granflow.load import Scene, scene_of
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, build_law, pair_material, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.pair_cases import build_law, pair_material
+from granflow.plan.plan import Plan
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.scene.suggest import suggestion_or_list
@@ -85,12 +87,13 @@ def collide(
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
     described["run"]["precision"] = backend.precision
     try:
-        plan = plan_for(_read(described, settings), on_gpu=not backend.on_cpu)
+        scene = _read(described, settings)
+        plan = plan_for(scene, on_gpu=not backend.on_cpu)
     except SceneError:
         raise GranflowError(f"{steps_per_contact:g} steps per contact are not stable; use more.") from None
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
-    return expected | _integrate_collision(Engine(plan, backend), plan, impact) | {"time_step": plan.time_step}
+    return expected | _integrate_collision(Engine(plan, backend), scene, impact) | {"time_step": plan.time_step}
 
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
@@ -314,12 +317,13 @@ def _integrated(law: NormalLaw, impact: CollisionInput, steps: int = 4000) -> di
     return {"duration_theory": time, "overlap_max_theory": overlap_max, "force_max_theory": force_max}
 
 
-def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> dict[str, float]:
+def _integrate_collision(engine: Engine, scene: Scene, impact: CollisionInput) -> dict[str, float]:
     """Run the collision and record the maximum overlap and force, the rebound velocity and the duration.
 
     Raises GranflowError if the contact does not end within LONGEST times its expected duration.
     """
-    engine.insert(initial_particles(plan.scene))
+    plan = engine.plan
+    engine.insert(initial_particles(scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     limit = int(LONGEST * sum(plan.law.phase_durations(

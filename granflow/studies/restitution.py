@@ -17,7 +17,9 @@ from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.load import Scene
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, pair_material, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.pair_cases import pair_material
+from granflow.plan.plan import Plan
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
@@ -134,10 +136,11 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     pairs = pairings(scene)
     count = DECADES * VELOCITIES_PER_DECADE + 1
     velocities = plan.velocity_max * np.logspace(-DECADES, 0, count)
-    collisions = plan_for(_collision_scene(scene, plan, pairs, velocities), on_gpu=not backend.on_cpu)
+    collision_scene = _collision_scene(scene, plan, pairs, velocities)
+    collisions = plan_for(collision_scene, on_gpu=not backend.on_cpu)
     engine = Engine(collisions, backend)
     engine.state.clock.change(plan.time_step)
-    rebound = _run_collisions(engine, collisions, _longest(plan, pairs, velocities[0]))
+    rebound = _run_collisions(engine, collision_scene, _longest(scene, plan, pairs, velocities[0]))
     reached = rebound.reshape(len(pairs), count, len(PHASES)) / velocities[:, None]
     rows = []
     for pair, per_velocity in zip(pairs, reached, strict=True):
@@ -148,9 +151,9 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     return rows, plan.time_step
 
 
-def _longest(plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
+def _longest(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing], velocity: float) -> int:
     """Maximum number of steps of the slowest collision; `velocity` [m/s]: the lowest."""
-    longest = max(_impact(plan, pair, velocity).duration for pair in pairs)
+    longest = max(_impact(scene, plan, pair, velocity).duration for pair in pairs)
     return int(LONGEST * longest / plan.time_step) + 10
 
 
@@ -213,9 +216,10 @@ def _add_row(
         }  # fmt: skip
 
 
-def _run_collisions(engine: Engine, plan: Plan, most_steps: int) -> np.ndarray:
+def _run_collisions(engine: Engine, scene: Scene, most_steps: int) -> np.ndarray:
     """Rebound velocity (n,) [m/s] of each collision, in the order of the scene; 0 if the spheres stick."""
-    engine.insert(initial_particles(plan.scene))
+    plan = engine.plan
+    engine.insert(initial_particles(scene))
     engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
     engine.refresh()
     batch = max(most_steps // 200, 1)
@@ -239,10 +243,10 @@ def _relative(engine: Engine, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(arrays["id"])
     velocity, force = (arrays[name][order, 0].astype(float) for name in ("velocity", "force"))
     rates, forces, begin = [], [], 0
-    for name, group in plan.scene.particles.items():
+    for group in plan.groups:
         part = slice(begin, begin + group.count)
         begin += group.count
-        if name.startswith("first"):
+        if group.name.startswith("first"):
             rates.append(velocity[part])
             forces.append(force[part])
         else:
@@ -297,7 +301,7 @@ def _draw(figure: Any, rows: Sequence[RestitutionRow], title: str) -> None:
 # ---------------------------------------------------------------- with the reference implementation
 
 
-def warnings(plan: Plan) -> list[str]:
+def warnings(scene: Scene, plan: Plan) -> list[str]:
     """Warnings for all material pairs whose simulated restitution differs from the given value by more than 1 %.
 
     Each warning describes the collision of the pair with the largest error, and a sufficient time step [s] if one is
@@ -306,17 +310,17 @@ def warnings(plan: Plan) -> list[str]:
     """
     worst: dict[str, tuple[float, MaterialPairing, _Impact]] = {}
     steps = 0
-    for pair in pairings(plan.scene):
-        if not _occurs(plan.scene, pair):
+    for pair in pairings(scene):
+        if not _occurs(scene, pair):
             continue
         deviations: list[tuple[float, _Impact]] = []
         for share in QUICK_VELOCITIES:
-            impact = _impact(plan, pair, share * plan.velocity_max)
+            impact = _impact(scene, plan, pair, share * plan.velocity_max)
             steps += len(QUICK_PHASES) * int(impact.duration / plan.time_step)
             if steps > QUICK_STEPS or _unreachable(plan, impact):
                 break
             deviations.append((abs(_worst_restitution(plan, impact, plan.time_step) / impact.requested - 1.0), impact))
-        key = plan.scene.pair_key(pair.first, pair.second)
+        key = scene.pair_key(pair.first, pair.second)
         for size, impact in deviations:
             if size > max(TOLERANCE, worst[key][0] if key in worst else 0.0):
                 worst[key] = (size, pair, impact)
@@ -344,9 +348,9 @@ class _Impact:
     duration: float
 
 
-def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
+def _impact(scene: Scene, plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
     """Collision of a pair at an approach velocity [m/s] with the properties of the contact model."""
-    collision = (pair_material(plan.scene, pair.first, pair.second), *pair.reduced(plan.scene), velocity)
+    collision = (plan.pair_materials[pair.first, pair.second], *pair.reduced(scene), velocity)
     return _Impact(*collision, plan.law.restitution(*collision), sum(plan.law.phase_durations(*collision)))
 
 

@@ -12,8 +12,8 @@ from granflow.contact import theory
 from granflow.engine import stepper
 from granflow.load import Scene
 from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
-from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import choose_time_step
+from granflow.scene.schema.scene import Numerics
 from granflow.simulation import Simulation
 
 RADIUS = 0.005
@@ -42,9 +42,9 @@ def first_adapted_step(scene):
 
 
 def planned_step(plan, velocity):
-    numerics = plan.scene.numerics
+    numerics = Numerics()
     bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
-    return choose_time_step(None, pair_cases_of(plan.scene), plan.law, velocity, *bounds).value
+    return choose_time_step(None, plan.pair_cases, plan.law, velocity, *bounds).value
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])

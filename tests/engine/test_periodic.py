@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from granflow.errors import SceneError
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 
 GRAVITY = 9.81
 

@@ -8,8 +8,8 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load
+from granflow.plan.build import plan_for
 from granflow.plan.memory_estimate import estimate_memory
-from granflow.plan.plan import plan_for
 from granflow.studies.feature_cost.variants import variants_of
 
 TEXT = """\
@@ -43,8 +43,9 @@ def plans(directory, *overrides):
     """Plans of all variants by name."""
     path = directory / "beads.yaml"
     path.write_text(TEXT)
-    base = plan_for(load(path, overrides))
-    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(base)}
+    scene = load(path, overrides)
+    base = plan_for(scene)
+    return {variant.name: variant.plan(base, on_gpu=False) for variant in variants_of(scene, base)}
 
 
 @pytest.mark.parametrize(

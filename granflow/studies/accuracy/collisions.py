@@ -10,7 +10,8 @@ from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
 from granflow.load import Scene
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.plan import Plan
 from granflow.studies.accuracy.axes import (
     DISTANCE,
     PHASES,

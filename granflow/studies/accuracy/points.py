@@ -12,7 +12,6 @@ import numpy as np
 
 from granflow.engine.backend import Backend, Precision, start
 from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import shortest_phase
 from granflow.studies.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, CollisionBench, CollisionResults
@@ -203,6 +202,6 @@ def _phase(bench: CollisionBench, kind: CollisionKind) -> float:
 
     The time of the pair case is scaled with the diameter, to which it is proportional.
     """
-    matching = [case for case in pair_cases_of(bench.plan.scene) if case.pair.restitution == kind.restitution]
+    matching = [case for case in bench.plan.pair_cases if case.pair.restitution == kind.restitution]
     scaled = shortest_phase(matching[0], bench.plan.law, kind.velocity) / (2.0 * matching[0].radius)
     return scaled * kind.diameter

@@ -10,9 +10,9 @@ import numpy as np
 from granflow.errors import RunError, SceneError
 from granflow.load import Scene
 from granflow.load import load as load_scene
-from granflow.observers.build import stage_durations
 from granflow.observers.interval import every
-from granflow.plan.plan import pair_cases_of, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.scene_parts import planned_stages
 from granflow.plan.time_step import shortest_phase
 from granflow.simulation import Simulation
 from granflow.snapshot import Snapshot
@@ -98,7 +98,7 @@ def phase_of(scene: Scene) -> tuple[float, float]:
     At the maximum impact velocity of the plan.
     """
     plan = plan_for(scene)
-    phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in pair_cases_of(scene))
+    phase = min(shortest_phase(pair_case, plan.law, plan.velocity_max) for pair_case in plan.pair_cases)
     return phase, plan.time_step / phase
 
 
@@ -137,7 +137,7 @@ def run_task(task: SceneTask) -> RunOutcome:
     """
     scene = task.scene()
     means = _RunMeans(scene)
-    total_duration = sum(duration for _, duration in stage_durations(scene))
+    total_duration = sum(stage.longest for stage in planned_stages(scene))
     interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
         simulation = Simulation(scene, observers=[every(interval, means.update, ("particles", "totals"))])

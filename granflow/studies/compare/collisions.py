@@ -14,7 +14,7 @@ from granflow.contact.spring import MIN_VELOCITY_SHARE
 from granflow.engine.backend import Backend
 from granflow.errors import GranflowError, SceneError
 from granflow.load import Scene
-from granflow.plan.plan import pair_material
+from granflow.plan.pair_cases import pair_material
 from granflow.plan.size_classes import diameter_range
 from granflow.studies.compare.variants import LawVariant, restitution_for
 from granflow.studies.paper.head_on_collisions import HeadOnCollision, Outcomes, collide_all

@@ -14,10 +14,11 @@ import numpy as np
 from granflow.contact import theory
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.load import Scene
-from granflow.observers.build import stage_durations
 from granflow.observers.flow_meters import steady_flow
 from granflow.observers.interval import every
-from granflow.plan.plan import Plan, pair_cases_of
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import Plan
+from granflow.plan.scene_parts import planned_stages
 from granflow.simulation import Simulation
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival
@@ -96,7 +97,7 @@ def run_variant(
     assert variant.scene is not None
     scene = variant.scene
     heights, forces = BedHeights.of(scene), ForceHistogram()
-    end = min(sum(longest for _, longest in stage_durations(scene)), until or np.inf)
+    end = min(sum(stage.longest for stage in planned_stages(scene)), until or np.inf)
     spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
     bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
     output = scene.output

@@ -11,7 +11,7 @@ from granflow.contact.registry import NORMAL_LAWS
 from granflow.errors import GranflowError, SceneError
 from granflow.load import Scene
 from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.plan.plan import pair_material
+from granflow.plan.pair_cases import pair_material
 from granflow.scene.suggest import suggestion_or_list
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")

@@ -87,7 +87,7 @@ def feature_costs(
     simulation.free()
     if not len(start.particles):
         raise GranflowError(f"At {end:.4g} s the scene contains no particles to time: give another time with --until.")
-    wanted = [each for each in variants_of(base) if only is None or each.name in only]
+    wanted = [each for each in variants_of(scene, base) if only is None or each.name in only]
     engines = []
     for variant in wanted:
         report(f"Compiling {variant.name}")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from granflow.load import Scene
-from granflow.plan.plan import Plan, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.plan import Plan
 from granflow.scene.schema.scene import Contact, MaterialPair
 
 FRICTION, ROLLING_FRICTION = 0.3, 0.02
@@ -35,22 +36,22 @@ class FeatureVariant:
         return replace(plan, features=features, step=base.step, skin=base.skin)
 
 
-def variants_of(plan: Plan) -> list[FeatureVariant]:
+def variants_of(scene: Scene, plan: Plan) -> list[FeatureVariant]:
     """Baseline and all variants with one feature changed that do not require other particle positions."""
-    scene, features = plan.scene, plan.features
+    features = plan.features
     return [
         FeatureVariant("baseline", scene),
-        *_without_rotational_features(plan),
+        *_without_rotational_features(scene, plan),
         *([] if features.friction else [FeatureVariant("with friction", _with_friction(scene, FRICTION))]),
         *(
             [FeatureVariant("with rolling friction", _with_rolling(scene, "epsd"))]
             if features.rolling == "none"
             else []
         ),
-        *_without_history(plan),
+        *_without_history(scene, plan),
         *([FeatureVariant("without cohesion", _without_cohesion(scene))] if features.cohesion != "none" else []),
-        *_other_walls(plan),
-        *_other_materials(plan),
+        *_other_walls(scene, plan),
+        *_other_materials(scene, plan),
         FeatureVariant(
             f"{'without' if features.energy_budget else 'with'} energy budget",
             _with_energy_budget(scene, not features.energy_budget),
@@ -59,9 +60,9 @@ def variants_of(plan: Plan) -> list[FeatureVariant]:
     ]
 
 
-def _without_rotational_features(plan: Plan) -> Iterator[FeatureVariant]:
+def _without_rotational_features(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variants without friction, without rolling friction, and without rotation, which excludes both."""
-    scene, features = plan.scene, plan.features
+    features = plan.features
     if features.friction:
         yield FeatureVariant("without friction", _with_friction(scene, 0.0), {"rotation": True})
     if features.rolling != "none":
@@ -70,9 +71,9 @@ def _without_rotational_features(plan: Plan) -> Iterator[FeatureVariant]:
         yield FeatureVariant("without rotation", _without_rotation(scene))
 
 
-def _without_history(plan: Plan) -> Iterator[FeatureVariant]:
+def _without_history(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variants with elastic Hertz contacts, which have no normal history, and without any contact history."""
-    elastic = _elastic(plan.scene)
+    elastic = _elastic(scene)
     if plan.law.history_names:
         yield FeatureVariant("without normal history", elastic)
     elif plan.features.rate_dependent:
@@ -81,23 +82,23 @@ def _without_history(plan: Plan) -> Iterator[FeatureVariant]:
         yield FeatureVariant("without any history", _without_rotation(elastic), {"rotation": plan.features.rotation})
 
 
-def _other_walls(plan: Plan) -> Iterator[FeatureVariant]:
+def _other_walls(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variants without walls, and with the code for moving walls.
 
     No variant stops a moving wall: its position would differ.
     """
     if plan.features.walls:
-        yield FeatureVariant("without walls", plan.scene.model_copy(update={"walls": {}}))
+        yield FeatureVariant("without walls", scene.model_copy(update={"walls": {}}))
     if plan.features.walls and not plan.features.moving_walls:
-        yield FeatureVariant("with moving walls", plan.scene, {"moving_walls": True})
+        yield FeatureVariant("with moving walls", scene, {"moving_walls": True})
 
 
-def _other_materials(plan: Plan) -> Iterator[FeatureVariant]:
+def _other_materials(scene: Scene, plan: Plan) -> Iterator[FeatureVariant]:
     """Variant with several materials, or with one material if the scene has several."""
     if plan.features.one_material:
-        yield FeatureVariant("with several materials", plan.scene, {"one_material": False})
+        yield FeatureVariant("with several materials", scene, {"one_material": False})
         return
-    one_material = _of_one_material(plan.scene)
+    one_material = _of_one_material(scene)
     if one_material is not None:
         yield FeatureVariant("with one material", one_material)
 

@@ -11,7 +11,7 @@ from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
 from granflow.load import Scene
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.studies.paper.cases import PAPER_CASES
 from granflow.studies.paper.comparison import CandidateModel
 

@@ -13,7 +13,8 @@ from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
 from granflow.load import Scene
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, pair_cases_of, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.plan import Plan
 from granflow.scene.schema.scene import LARGEST_OVERLAP
 
 LONGEST = 40.0
@@ -81,7 +82,7 @@ def collide_all(normal: Any, collisions: Sequence[HeadOnCollision], time_step: f
     first_contact_times = time_step * (GOLDEN * np.arange(len(collisions)) % 1.0)
     scene, pair_ids = side_by_side(normal, collisions, first_contact_times, time_step, backend.precision)
     plan = plan_for(scene, on_gpu=not backend.on_cpu)
-    overlap, rate, force = _run_until_parted(Engine(plan, backend), plan, pair_ids)
+    overlap, rate, force = _run_until_parted(Engine(plan, backend), scene, pair_ids)
     velocity = np.array([each.velocity for each in collisions])
     histories = zip(overlap.T, rate.T, force.T, velocity, first_contact_times, strict=True)
     columns = np.array([_measured(*history, time_step) for history in histories]).T
@@ -169,18 +170,18 @@ def _spheres(
     }  # fmt: skip
 
 
-def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _run_until_parted(engine: Engine, scene: Scene, pair_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Run until all pairs have separated: overlap [m], overlap rate [m/s] and repulsion [N], each (steps, n).
 
     Pairs that have not separated after the maximum number of steps remain in the result. Raises GranflowError if pairs
     never touch.
     """
-    engine.insert(initial_particles(plan.scene))
+    engine.insert(initial_particles(scene))
     engine.set_walls([], [])
     engine.refresh()
     histories = [sample(engine, pair_ids)]
     has_touched = np.zeros(len(pair_ids), dtype=bool)
-    limit = _most_steps(plan)
+    limit = _most_steps(scene, engine.plan)
     while len(histories) < limit:
         engine.advance(1)
         histories.append(sample(engine, pair_ids))
@@ -197,13 +198,13 @@ def _run_until_parted(engine: Engine, plan: Plan, pair_ids: np.ndarray) -> tuple
     return overlap, rate, force
 
 
-def _most_steps(plan: Plan) -> int:
+def _most_steps(scene: Scene, plan: Plan) -> int:
     """Upper bound of the number of steps of the slowest possible collision: LONGEST times its duration."""
-    slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in plan.scene.particles.values())
-    largest = max(plan.radius_max / pair_case.radius for pair_case in pair_cases_of(plan.scene))
+    slowest = min(float(np.abs(group.velocity).max(axis=1).min()) for group in scene.particles.values())
+    largest = max(plan.radius_max / pair_case.radius for pair_case in plan.pair_cases)
     longest = max(
         sum(plan.law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, 2.0 * slowest))
-        for pair_case in pair_cases_of(plan.scene)
+        for pair_case in plan.pair_cases
     )
     return int(LONGEST * largest * longest / plan.time_step)
 

@@ -186,7 +186,7 @@ def _names(scene: Scene | None) -> dict[str, tuple[str, ...]]:
     """Names of materials and groups, in the order of their numbers in the files."""
     if scene is None:
         return {}
-    from granflow.plan.plan import plan_for
+    from granflow.plan.build import plan_for
 
     try:
         materials = plan_for(scene).materials

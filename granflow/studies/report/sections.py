@@ -10,8 +10,8 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
+from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
-from granflow.plan.plan import plan_for
 from granflow.runs.result import readable
 from granflow.studies.page import Code, PagePart, PageTable, Section
 from granflow.studies.report.log import explanation, warnings_and_errors

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from granflow.load import Scene
-from granflow.plan.plan import Plan, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
 from granflow.studies.stability.cases import CaseResult
 

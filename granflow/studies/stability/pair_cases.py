@@ -14,7 +14,7 @@ from granflow.contact import theory
 from granflow.contact.material import VelocityRestitution
 from granflow.engine.backend import Precision
 from granflow.load import Scene
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 from granflow.studies.stability.cases import CaseResult
 

@@ -19,7 +19,8 @@ from granflow.engine.engine import Engine
 from granflow.engine.limits import NO_PARTICLE
 from granflow.load import Scene
 from granflow.particles.generate import ParticleData
-from granflow.plan.plan import Plan, pair_cases_of, plan_for
+from granflow.plan.build import plan_for
+from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
 from granflow.scene.schema.scene import LARGEST_OVERLAP
 from granflow.studies.stability.lattices import LATTICES, TestLattice
@@ -136,7 +137,7 @@ def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, fl
 def _pair_case(plan: Plan, lattice: TestLattice) -> PairCase:
     """Pair case of a lattice: free particles with each other, or with anchors only."""
     partner = "free" if lattice.has_free_pairs else "anchors"
-    pair_case = next(each for each in pair_cases_of(plan.scene) if each.name == f"free-{partner}")
+    pair_case = next(each for each in plan.pair_cases if each.name == f"free-{partner}")
     return replace(pair_case, contact_count=lattice.max_contacts)
 
 
