@@ -1,11 +1,11 @@
 """Builds the observers that the `output:` block of a scene specifies."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from granflow.geometry.catalog import triangles
 from granflow.observers.base import Observer
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.coarse_graining.field_grid import grid_for
@@ -19,27 +19,34 @@ from granflow.observers.wall_forces import WallForceMeter
 from granflow.plan.plan import Plan
 
 
-def observers_for(
-    plan: Plan, out_dir: Path, wall_triangles: Mapping[str, tuple[np.ndarray, np.ndarray]]
-) -> list[Observer]:
-    """Return the observers that the plan specifies, which write into `out_dir`.
+def observers_for(plan: Plan, out_dir: Path | None, progress: bool = False) -> list[Observer]:
+    """Return the observers of the output block, and the progress display if `progress`.
 
-    Order: time series (always), particle frames, contact frames, wall frames, and one per block of `output.fields`.
-
-    `wall_triangles`: name -> (points at rest (m, 3) [m], corners (k, 3), indices of points) of each wall, in the order
-    of the scene; without walls, no wall frames are written.
+    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`. Without
+    `out_dir`, only the time series, without a file, if it has meters.
     """
     output = plan.output
-    interval = output.interval
-    observers: list[Observer] = [time_series_for(plan, out_dir)]
-    if output.particles:
-        observers.append(ParticleFrames(out_dir, interval, reach=_max_coordinate(plan)))
-    if output.contacts:
-        observers.append(ContactFrames(out_dir, interval))
-    if output.walls and wall_triangles:
-        observers.append(WallFrames(out_dir, interval, wall_triangles, measured=plan.measured_areas))
-    observers += [field_frames(plan, name, spec, out_dir) for name, spec in output.fields.items()]
+    observers: list[Observer] = []
+    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls:
+        observers.append(time_series_for(plan, out_dir))
+    if out_dir is not None and output.particles:
+        observers.append(ParticleFrames(out_dir, output.interval, reach=_max_coordinate(plan)))
+    if out_dir is not None and output.contacts:
+        observers.append(ContactFrames(out_dir, output.interval))
+    if out_dir is not None and output.walls and plan.walls:
+        observers.append(WallFrames(out_dir, output.interval, _wall_triangles(plan), measured=plan.measured_areas))
+    if out_dir is not None:
+        observers += [field_frames(plan, name, spec, out_dir) for name, spec in output.fields.items()]
+    if progress:
+        observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers
+
+
+def _wall_triangles(plan: Plan) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return points at rest (m, 3) [m] and corners (k, 3), indices of points, of each wall by name."""
+    center = 0.5 * (plan.domain_low + plan.domain_high)
+    extent = 0.5 * float(np.max(plan.domain_high - plan.domain_low))
+    return {wall.name: triangles(wall.shape, center, extent) for wall in plan.walls}
 
 
 def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
@@ -78,11 +85,6 @@ def field_frames(plan: Plan, name: str, spec: Any, out_dir: Path) -> FieldFrames
     return FieldFrames(
         out_dir, name, interval, grid, GaussianKernel(width, spec.cutoff), spec.quantities, spec.stages or ()
     )
-
-
-def progress_for(plan: Plan) -> ProgressDisplay:
-    """Return the progress display for the stages of a run."""
-    return ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages])
 
 
 def _max_coordinate(plan: Plan) -> float | None:

@@ -1,5 +1,6 @@
 """Particle insertion during a run."""
 
+import logging
 from collections import Counter
 from collections.abc import Container, Iterator
 from math import inf
@@ -65,6 +66,14 @@ class ParticleInsertion:
             }
             for inserter in self._inserters
         }
+
+    def log_end(self) -> None:
+        """Log the size classes, and warn about particles that were not inserted."""
+        log = logging.getLogger("granflow")
+        for sentence in self.class_shares():
+            log.info("%s", sentence)
+        for sentence in self.shortfalls():
+            log.warning("%s", sentence)
 
     def shortfalls(self) -> Iterator[str]:
         """Yield a sentence for each group with particles that are queued or were not due before the end."""

@@ -1,26 +1,21 @@
-"""Checks whether a run can continue from a checkpoint with a given scene, and schedules new checkpoints."""
+"""Checks whether a run can continue from a checkpoint with a given scene."""
 
 import hashlib
-import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
-from granflow.io.checkpoint import Checkpoint, remove_old_checkpoints, write_checkpoint
+from granflow.io.checkpoint import Checkpoint
 from granflow.load import Scene, scene_of
-from granflow.observers.schedule import Schedule
 from granflow.plan.plan import Plan
 from granflow.plan.walls import StageTimes, planned_motions, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
-from granflow.scene.schema.scene import Checkpoints
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
@@ -137,42 +132,3 @@ def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np
     """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
     pose_at_time = pose(motions, np.array([time]))
     return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
-
-
-class CheckpointWriter:
-    """Schedules and writes the checkpoints of one run, and keeps the newest few.
-
-    `settings`: `interval` [s] of simulated time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is
-    monotonic: a change of the system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
-    """
-
-    def __init__(self, directory: Path, settings: Checkpoints) -> None:
-        self._directory, self._settings = directory, settings
-        self._schedule = Schedule(settings.interval) if settings.interval else None
-        self._written_at = clock.monotonic()
-        self.last_time: float | None = None
-
-    def start(self, time: float) -> None:
-        """Start the schedule at `time` [s]."""
-        self._written_at = clock.monotonic()
-        if self._schedule is not None:
-            self._schedule.mark_done(time)
-
-    def next_time(self) -> float:
-        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
-        return inf if self._schedule is None else self._schedule.next_time()
-
-    def due(self, time: float) -> bool:
-        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
-        return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
-
-    def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
-        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
-
-        `time` [s], `step`: of the state `saved`, as in `write_checkpoint`. Raises OSError if the file cannot be
-        written.
-        """
-        self.start(time)
-        write_checkpoint(self._directory, scene.text(), time, step, saved)
-        remove_old_checkpoints(self._directory, self._settings.keep)
-        self.last_time = time
