@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from granflow.errors import GranflowError, RunError, SceneError
+    from granflow.load import Scene
     from granflow.load import load as load_scene
+    from granflow.observers.interval import on_interval
+    from granflow.particles.particle_data import ParticleData
+    from granflow.plan.build import plan_for
+    from granflow.plan.explain import explain
+    from granflow.plan.plan import Plan
     from granflow.simulation import Simulation
+    from granflow.snapshot import Snapshot
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -18,14 +25,34 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 
-__all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
+__all__ = [
+    "GranflowError",
+    "ParticleData",
+    "Plan",
+    "RunError",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "Snapshot",
+    "explain",
+    "load_scene",
+    "on_interval",
+    "plan_for",
+]
 
 _LOCATIONS = {
     "GranflowError": "granflow.errors:GranflowError",
+    "ParticleData": "granflow.particles.particle_data:ParticleData",
+    "Plan": "granflow.plan.plan:Plan",
     "RunError": "granflow.errors:RunError",
+    "Scene": "granflow.load:Scene",
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
+    "Snapshot": "granflow.snapshot:Snapshot",
+    "explain": "granflow.plan.explain:explain",
     "load_scene": "granflow.load:load",
+    "on_interval": "granflow.observers.interval:on_interval",
+    "plan_for": "granflow.plan.build:plan_for",
     "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""
@@ -38,3 +65,8 @@ def __getattr__(name: str) -> Any:
     module, _, attribute = _LOCATIONS[name].partition(":")
     value = getattr(import_module(module), attribute)
     return value("granflow") if name == "__version__" else value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(_LOCATIONS)

@@ -5,7 +5,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from granflow.load import Scene
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
@@ -38,11 +38,20 @@ def build_scene(groups, walls=None, pair=None, **parts):
         "contact": {"normal": parts.pop("normal", "zhou"), "tangential": "mindlin", "rolling": rolling},
         "walls": walls,
         "particles": groups,
-        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
+        "domain": domain_around(groups.values()),
         "run": {"duration": 1.0},
         "output": {"interval": 1.0},
     }
     return Scene.from_dict(scene | parts)
+
+
+def domain_around(groups):
+    """A cube of 2 m around the origin, extended to the given positions."""
+    given = [group["insert"]["positions"] for group in groups if group["insert"]["kind"] == "positions"]
+    points = np.concatenate(
+        [np.full((1, 3), -1.0), np.full((1, 3), 1.0), *(np.reshape(each, (-1, 3)) for each in given)]
+    )
+    return {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist(), "on_exit": "error"}
 
 
 def plane(point, normal, material="glass", **more):
@@ -73,7 +82,7 @@ def run_and_sample(scene, interval, until=None, contacts=False, **options):
     """The snapshots of a run at an interval [s]."""
     snapshots = []
     wants = ("particles", "walls", "totals", "contacts") if contacts else ("particles", "walls", "totals")
-    simulation = Simulation(scene, observers=[every(interval, snapshots.append, wants)], **options)
+    simulation = Simulation(scene, observers=[on_interval(interval, snapshots.append, wants)], **options)
     simulation.run(until)
     simulation.free()
     return snapshots

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from granflow import Simulation, load_scene
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 
 SCENES = Path(__file__).parents[1] / "scenes"
 
@@ -11,7 +11,7 @@ SCENES = Path(__file__).parents[1] / "scenes"
 def run_shipped_scene(name, out, interval=1e3, overrides=()):
     """Frames (snapshots of particles) of a shipped scene, every `interval` [s], and the unsatisfied expectations."""
     frames = []
-    observer = every(interval, frames.append, wants=("particles",))
+    observer = on_interval(interval, frames.append, wants=("particles",))
     scene = load_scene(SCENES / f"{name}.yaml", ["output.interval=1000 s", *overrides])
     simulation = Simulation(scene, threads=2, out=out, observers=[observer])
     result = simulation.run()

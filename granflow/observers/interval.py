@@ -9,7 +9,7 @@ from granflow.snapshot import Snapshot
 
 
 class PeriodicObserver:
-    """Calls a function with a snapshot at a regular interval; see `every`."""
+    """Calls a function with a snapshot at a regular interval; see `on_interval`."""
 
     def __init__(self, schedule: Schedule, function: Callable[[Snapshot], None], wants: frozenset[str]) -> None:
         self.wants = wants
@@ -40,7 +40,7 @@ class PeriodicObserver:
         """Do nothing: no file is open."""
 
 
-def every(
+def on_interval(
     interval: float,
     function: Callable[[Snapshot], None],
     wants: Iterable[str] = (PARTICLES, WALLS, TOTALS),

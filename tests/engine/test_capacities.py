@@ -5,7 +5,7 @@ import pytest
 from scene_builders import box, build_scene, particle_group
 
 from granflow.engine.neighbor.cell_grid import CellGrid
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan import capacities
 from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
@@ -35,7 +35,7 @@ def compressed_bed(chunk_size):
 def run_and_sample(scene):
     """Snapshots with contacts every millisecond and at the end, and the simulation."""
     snapshots = []
-    simulation = Simulation(scene, observers=[every(1e-3, snapshots.append, ("particles", "totals", "contacts"))])
+    simulation = Simulation(scene, observers=[on_interval(1e-3, snapshots.append, ("particles", "totals", "contacts"))])
     simulation.run()
     snapshots.append(simulation.snapshot(contacts=True))
     simulation.free()

@@ -9,7 +9,7 @@ from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
 from granflow.errors import RunError
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.simulation import Simulation
 
 FAULTY_ID = 2
@@ -43,7 +43,7 @@ def test_abort_reports_particle_and_time_and_writes_a_frame(taichi_f64, tmp_path
             particles = simulation.engine.state.particles
             particles.velocity[int(np.flatnonzero(particles.id.to_numpy() == FAULTY_ID)[0])] = [float("nan")] * 3
 
-    simulation = Simulation(SCENES[reason](), out=tmp_path, observers=[every(1e-4, inject_nan)])
+    simulation = Simulation(SCENES[reason](), out=tmp_path, observers=[on_interval(1e-4, inject_nan)])
     with pytest.raises(RunError) as stopped:
         simulation.run()
     message = str(stopped.value)

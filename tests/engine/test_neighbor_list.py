@@ -16,7 +16,7 @@ from scene_builders import (
 from scipy.spatial import cKDTree
 
 from granflow.errors import RunError
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan import plan as plan_module
 from granflow.simulation import Simulation
 
@@ -109,7 +109,7 @@ def owners_during(scene):
     def sample(snapshot):
         owners.extend(int(owner) for owner, partner, _ in neighbors_of(simulation.engine) if {owner, partner} == {0, 1})
 
-    simulation = Simulation(scene, observers=[every(1e-4, sample)])
+    simulation = Simulation(scene, observers=[on_interval(1e-4, sample)])
     simulation.run()
     last, count = simulation.snapshot(), simulation.engine.timing.rebuild_count
     simulation.free()

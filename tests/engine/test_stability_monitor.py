@@ -7,7 +7,7 @@ from subprocess_runner import in_subprocess
 
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.stability_monitor import StabilityMonitor
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
@@ -16,7 +16,9 @@ MASS = 2500.0 * np.pi / 6 * 0.01**3
 
 def warnings_of(scene, change=None):
     """Warnings of a run by kind, with a check every 0.1 ms; `change` is called with simulation and snapshot."""
-    simulation = Simulation(scene, observers=[every(1e-4, lambda snapshot: change and change(simulation, snapshot))])
+    simulation = Simulation(
+        scene, observers=[on_interval(1e-4, lambda snapshot: change and change(simulation, snapshot))]
+    )
     simulation.run()
     simulation.free()
     return simulation.engine.stability_monitor.warnings

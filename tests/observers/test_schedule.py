@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.observers.schedule import Schedule
 
 
@@ -53,7 +53,7 @@ def test_interval_must_be_positive_and_finite(interval):
 
 def test_observer_of_a_function_calls_it_once_per_time():
     observed_times = []
-    observer = every(0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts"))
+    observer = on_interval(0.5, lambda snapshot: observed_times.append(snapshot.time), wants=("totals", "contacts"))
     assert observer.wants == {"totals", "contacts"}
     for time in (0.0, 0.5, 0.5, 1.0):
         observer.observe(snapshot_of(time=time))

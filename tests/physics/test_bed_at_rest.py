@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, plane
 
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.simulation import Simulation
 
 DIAMETER = 0.01
@@ -52,7 +52,7 @@ def run_bed(rolling, normal, chunk_size):
     """Snapshots at 0, 30 and 60 ms, and one step later."""
     snapshots = []
     scene = bed(rolling, normal, 0.06, chunk_size)
-    simulation = Simulation(scene, observers=[every(0.03, snapshots.append, ("particles", "totals"))])
+    simulation = Simulation(scene, observers=[on_interval(0.03, snapshots.append, ("particles", "totals"))])
     simulation.run()
     simulation.engine.advance(1)
     snapshots.append(simulation.snapshot())

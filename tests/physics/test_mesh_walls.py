@@ -6,7 +6,7 @@ import pytest
 from geometry.meshes import cube, sheet, tube, write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 
 TURNING = {"kind": "rotation", "point": [0.0, 0.6, 0.0], "axis": [0, 1, 0], "angular_velocity": 30.0}
 RISING = {"kind": "translation", "velocity": [0.0, 0.0, 0.2]}
@@ -158,7 +158,7 @@ def test_energy_is_conserved_in_a_faceted_tube(taichi_f64, folder):
         run={"duration": 1.0, "velocity_max": 2.0, "time_step": 1e-5}, output={"interval": 1.0}, **parts,
     )  # fmt: skip
     snapshots = []
-    last, _ = run_to_end(scene, observers=[every(0.002, snapshots.append, ("particles", "totals"))])
+    last, _ = run_to_end(scene, observers=[on_interval(0.002, snapshots.append, ("particles", "totals"))])
     height = np.array([each.particles["position"][0, 1] for each in snapshots])
     square = np.array([(each.particles["velocity"] ** 2).sum() for each in snapshots])
     assert square.max() == pytest.approx(2 * 9.81 * 0.095, rel=0.02)

@@ -44,7 +44,7 @@ def vibrated_bed():
 
 def run_and_sample(folder):
     """Time, mass, energy error, resident memory [kB], open files and particle count of each sample; step count."""
-    from granflow.observers.interval import every
+    from granflow.observers.interval import on_interval
     from granflow.simulation import Simulation
 
     samples = []
@@ -57,7 +57,7 @@ def run_and_sample(folder):
         samples.append([snapshot.time, mass, totals["energy_error"], memory, files, totals["particle_count"]])
 
     scene = vibrated_bed()
-    simulation = Simulation(scene, out=folder, observers=[every(scene.output.interval, sample)])
+    simulation = Simulation(scene, out=folder, observers=[on_interval(scene.output.interval, sample)])
     simulation.run()
     return samples, simulation.engine.step_count
 

@@ -4,7 +4,6 @@ Physical parameters have no hidden defaults: a scene must give all of them. Nume
 in `RunSettings` and `Numerics`.
 """
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
+from granflow.geometry.shape import are_perpendicular
 from granflow.scene.document import Document
 from granflow.scene.schema.analysis import AnyMetric, FieldGrid
 from granflow.scene.schema.fields import (
@@ -126,9 +126,6 @@ __all__ = [
     "VibrationSpec",
     "Wall",
 ]
-
-RIGHT_ANGLE_COSINE = 1e-6
-"""Largest absolute cosine of an angle that is accepted as 90 deg."""
 
 LARGEST_OVERLAP = 0.8
 """Largest overlap limit: with larger overlaps a center could cross a thin wall in one step (`granflow.plan.travel`)."""
@@ -316,15 +313,9 @@ class FlowMeterSpec(Model):
             return
         if self.radius is not None:
             yield Fault(("sides",), "radius is given too: keep one of them")
-        (a, b), lengths = self.sides, [math.hypot(*each) for each in (*self.sides, self.normal)]
-        if not all(lengths):
+        if not all(any(side) for side in self.sides):
             yield Fault(("sides",), "a side must not be the zero vector")
-            return
-        cosines = [
-            abs(sum(x * y for x, y in zip(first, second, strict=True))) / (lengths[i] * lengths[j])
-            for first, second, i, j in ((a, b, 0, 1), (a, self.normal, 0, 2), (b, self.normal, 1, 2))
-        ]
-        if max(cosines) > RIGHT_ANGLE_COSINE:
+        elif not are_perpendicular(*self.sides, self.normal):
             yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Tag
 
+from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema.fields import (
     Angle,
     AngularVelocity,
@@ -42,8 +43,6 @@ from granflow.scene.schema.fields import (
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
 """Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
 
-_PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
-
 
 def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
     """Faults of the two `sides` of a rectangle, vectors [m]: they must have lengths above 0 and be perpendicular."""
@@ -52,7 +51,7 @@ def side_faults(sides: tuple[Vector3, Vector3]) -> Iterator[Fault]:
     for i, length in enumerate(lengths):
         if length == 0:
             yield Fault(("sides", i), "a side must not be the zero vector")
-    if all(lengths) and abs(_dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+    if all(lengths) and not are_perpendicular(a, b):
         angle = math.degrees(math.acos(_dot(a, b) / (lengths[0] * lengths[1])))
         yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
 

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.errors import RunError, SceneError
 from granflow.load import Scene
 from granflow.load import load as load_scene
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.build import plan_for
 from granflow.plan.scene_parts import planned_stages
 from granflow.plan.time_step import shortest_phase
@@ -140,7 +140,7 @@ def run_task(task: SceneTask) -> RunOutcome:
     total_duration = sum(stage.longest for stage in planned_stages(scene))
     interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
-        simulation = Simulation(scene, observers=[every(interval, means.update, ("particles", "totals"))])
+        simulation = Simulation(scene, observers=[on_interval(interval, means.update, ("particles", "totals"))])
         result = simulation.run(until=task.until)
     except SceneError as error:
         return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study

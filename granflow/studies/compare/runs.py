@@ -15,7 +15,7 @@ from granflow.contact import theory
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.load import Scene
 from granflow.observers.flow_meters import steady_flow
-from granflow.observers.interval import every
+from granflow.observers.interval import on_interval
 from granflow.plan.pair_cases import pair_cases_of
 from granflow.plan.plan import Plan
 from granflow.plan.scene_parts import planned_stages
@@ -102,8 +102,8 @@ def run_variant(
     bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)
     output = scene.output
     observers = [
-        every(output.timeseries_interval, heights.update),
-        every(output.interval, forces.update, ("contacts",)),
+        on_interval(output.timeseries_interval, heights.update),
+        on_interval(output.interval, forces.update, ("contacts",)),
         bursts_observer,
     ]
     try:
