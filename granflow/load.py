@@ -28,11 +28,14 @@ class Scene(SceneInput):
         Values: numbers in SI units or text with units, lists, numpy arrays, mappings. Paths in the scene are relative
         to `folder` (default: the working directory). Raises SceneError with all problems, each with its key path.
         """
-        return cls._resolved(scene_in(document_of(data), folder=Path(folder or "")), read=True)
+        return cls.of(scene_in(document_of(data), folder=Path(folder or "")), read=True)
 
     @classmethod
-    def _resolved(cls, written: SceneInput, read: bool) -> "Scene":
-        """The resolved form of a scene as written; `read`: read particle files again. Raises SceneError."""
+    def of(cls, written: SceneInput, read: bool = True) -> "Scene":
+        """The resolved form of a scene as written, whose parts are not checked against each other here.
+
+        `read`: read particle files again even if the scene has their summary. Raises SceneError.
+        """
         source = resolved_input(written, read)
         scene = cls.model_construct(source.model_fields_set, **dict(source))
         for name in source.__private_attributes__:
@@ -56,7 +59,7 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """
     written = scene_in(document_in(Path(path)), overrides, Path(path).parent)
     written._path = Path(path)
-    return Scene._resolved(written, read=True)
+    return Scene.of(written, read=True)
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
@@ -68,7 +71,7 @@ def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
         written = scene_in(parse(text, source), overrides, Path(source).parent)
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
-    return Scene._resolved(written, read=False)
+    return Scene.of(written, read=False)
 
 
 def _earlier_run(scene: Scene) -> Path:

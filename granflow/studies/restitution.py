@@ -21,7 +21,7 @@ from granflow.plan.build import plan_for
 from granflow.plan.pair_cases import pair_material
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import diameter_range
-from granflow.scene.schema.scene import LARGEST_OVERLAP
+from granflow.scene.schema.scene import LARGEST_OVERLAP, SceneInput
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
 
 VELOCITIES_PER_DECADE = 4
@@ -174,7 +174,7 @@ def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing],
     material_pairs = {scene.pair_key(a, b): scene.pairs.get(scene.pair_key(a, b), any_pair)
            for a, b in combinations_with_replacement(used, 2)}  # fmt: skip
     frictionless = {"friction": 0.0, "rolling_friction": None}
-    return Scene.from_dict(described | {
+    return Scene.of(SceneInput.model_validate(described | {
         "title": "Given and simulated restitution",
         "gravity": [0, 0, 0],
         "materials": {name: scene.materials[name] for name in used},
@@ -184,7 +184,7 @@ def _collision_scene(scene: Scene, plan: Plan, pairs: Sequence[MaterialPairing],
         "run": {"duration": 1.0, "velocity_max": plan.velocity_max, "precision": scene.run.precision},
         "numerics": scene.numerics.model_copy(update={"max_overlap": LARGEST_OVERLAP}),
         "output": {"interval": 1.0},
-    })  # fmt: skip
+    }))  # fmt: skip
 
 
 def _add_row(

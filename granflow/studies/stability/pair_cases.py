@@ -15,6 +15,7 @@ from granflow.contact.material import VelocityRestitution
 from granflow.engine.backend import Precision
 from granflow.load import Scene
 from granflow.plan.build import plan_for
+from granflow.scene.schema.scene import SceneInput
 from granflow.simulation import Simulation
 from granflow.studies.stability.cases import CaseResult
 
@@ -125,7 +126,7 @@ def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: flo
     reach = spacing * (side + 1)
     smallest = min(pair.radius * min(pair.radius_ratio, 1.0) for pair in pairs)
 
-    return Scene.from_dict({
+    return Scene.of(SceneInput.model_validate({
         "title": "Head-on collisions",
         "gravity": [0, 0, 0],
         "materials": materials,
@@ -139,7 +140,7 @@ def scene_of(pairs: Sequence[ParticlePair], precision: Precision, time_step: flo
         },
         "numerics": {"skin": SKIN * smallest},
         "output": {"interval": 1e9},
-    })  # fmt: skip
+    }))  # fmt: skip
 
 
 def _particle(pair: ParticlePair, number: int, y: float, z: float) -> dict[str, Any]:
