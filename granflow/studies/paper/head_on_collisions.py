@@ -15,7 +15,7 @@ from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.plan import Plan
-from granflow.scene.schema.scene import LARGEST_OVERLAP
+from granflow.scene.schema.scene import LARGEST_OVERLAP, SceneInput
 
 LONGEST = 40.0
 """Maximum length of a collision in units of its expected duration."""
@@ -125,7 +125,7 @@ def side_by_side(
         first_ids[members] = placed + 2 * np.arange(len(members))
         placed += 2 * len(members)
     reach = spacing * (side + 1) + abs(middle)
-    scene = Scene.from_dict({
+    scene = Scene.of(SceneInput.model_validate({
         "title": "Independent head-on collisions",
         "gravity": [0, 0, 0],
         "materials": materials,
@@ -139,7 +139,7 @@ def side_by_side(
         },
         "numerics": {"max_overlap": LARGEST_OVERLAP, **numerics},
         "output": {"interval": 1.0},
-    })  # fmt: skip
+    }))  # fmt: skip
     return scene, np.stack([first_ids, first_ids + 1], axis=1)
 
 

@@ -15,6 +15,7 @@ from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
 from granflow.load import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.simulation import Simulation
 from granflow.studies.figures import COLORS, POINTS
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
@@ -143,7 +144,7 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
         groups["partners"], walls = {"material": "plate", "diameter": 2.0 * partner, "insert": partner_insertion}, {}
     reach = [spacing + duration * float(np.abs(before.along).max()), spacing * (count + 1), 2.0 * spacing]
     pair = {"restitution": setup.restitution, "friction": setup.friction}
-    return Scene.from_dict({
+    return Scene.of(SceneInput.model_validate({
         "title": "Independent oblique impacts",
         "gravity": [0, 0, 0],
         "materials": {"sphere": setup.sphere, "plate": setup.plate},
@@ -155,7 +156,7 @@ def _scene_of(setup: ImpactSetup, law: str, before: ImpactMotion, gap: np.ndarra
         "run": {"duration": duration, "velocity_max": float(np.max(-before.normal))},
         "numerics": {"time_step_fraction": SAFETY, "rayleigh_fraction": 1.0},
         "output": {"interval": duration},
-    })  # fmt: skip
+    }))  # fmt: skip
 
 
 # ---------------------------------------------------------------- closed forms
