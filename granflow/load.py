@@ -15,6 +15,19 @@ from granflow.scene.schema.scene import Precision, SceneInput
 from granflow.scene.yaml12 import parse
 
 
+class FrozenDict(dict[str, Any]):
+    """A mapping that cannot be changed; its deep copies can."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("A scene is immutable: use Scene.from_dict, or model_copy for another scene.")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
+        return dict, (dict(self),)
+
+
 class Scene(SceneInput):
     """A validated and resolved scene, ready for a run: SI units, all counts known, at scale 1. Immutable.
 
@@ -37,7 +50,10 @@ class Scene(SceneInput):
         `read`: read particle files again even if the scene has their summary. Raises SceneError.
         """
         source = resolved_input(written, read)
-        scene = cls.model_construct(source.model_fields_set, **dict(source))
+        fields: dict[str, Any] = {
+            name: FrozenDict(value) if isinstance(value, dict) else value for name, value in source
+        }
+        scene = cls.model_construct(source.model_fields_set, **fields)
         for name in source.__private_attributes__:
             setattr(scene, name, getattr(source, name))
         if read and scene.start_from is not None:
