@@ -6,6 +6,7 @@ import numpy as np
 
 from granflow.load import Scene
 from granflow.observers.interval import on_interval
+from granflow.scene.schema.scene import SceneInput
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
@@ -38,20 +39,11 @@ def build_scene(groups, walls=None, pair=None, **parts):
         "contact": {"normal": parts.pop("normal", "zhou"), "tangential": "mindlin", "rolling": rolling},
         "walls": walls,
         "particles": groups,
-        "domain": domain_around(groups.values()),
+        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
         "run": {"duration": 1.0},
         "output": {"interval": 1.0},
     }
-    return Scene.from_dict(scene | parts)
-
-
-def domain_around(groups):
-    """A cube of 2 m around the origin, extended to the given positions."""
-    given = [group["insert"]["positions"] for group in groups if group["insert"]["kind"] == "positions"]
-    points = np.concatenate(
-        [np.full((1, 3), -1.0), np.full((1, 3), 1.0), *(np.reshape(each, (-1, 3)) for each in given)]
-    )
-    return {"min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist(), "on_exit": "error"}
+    return Scene.of(SceneInput.model_validate(scene | parts))
 
 
 def plane(point, normal, material="glass", **more):
