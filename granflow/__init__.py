@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from granflow.observers.flow_meters import steady_flow
     from granflow.observers.interval import on_interval
     from granflow.particles.particle_data import ParticleData
+    from granflow.plan.build import plan_for
     from granflow.plan.explain import explain
     from granflow.plan.memory_estimate import estimate_memory
-    from granflow.plan.plan import Plan, plan_for
+    from granflow.plan.plan import Plan
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
 
@@ -61,7 +62,7 @@ _LOCATIONS = {
     "explain": "granflow.plan.explain:explain",
     "load_scene": "granflow.load:load",
     "on_interval": "granflow.observers.interval:on_interval",
-    "plan_for": "granflow.plan.plan:plan_for",
+    "plan_for": "granflow.plan.build:plan_for",
     "start": "granflow.engine.backend:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
     "__version__": "importlib.metadata:version",
@@ -76,3 +77,8 @@ def __getattr__(name: str) -> Any:
     module, _, attribute = _LOCATIONS[name].partition(":")
     value = getattr(import_module(module), attribute)
     return value("granflow") if name == "__version__" else value
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(_LOCATIONS)

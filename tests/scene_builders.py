@@ -4,8 +4,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.observers.interval import on_interval
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
@@ -42,7 +43,7 @@ def build_scene(groups, walls=None, pair=None, **parts):
         "run": {"duration": 1.0},
         "output": {"interval": 1.0},
     }
-    return Scene.model_validate(scene | parts)
+    return Scene.of(SceneInput.model_validate(scene | parts))
 
 
 def plane(point, normal, material="glass", **more):

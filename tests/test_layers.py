@@ -174,7 +174,7 @@ def test_package_inits_only_re_export(name):
         if isinstance(node, ast.Assign):
             return all(isinstance(t, ast.Name) and t.id in {"__all__", "_LOCATIONS"} for t in node.targets)
         if isinstance(node, ast.FunctionDef):
-            return node.name == "__getattr__"
+            return node.name in {"__getattr__", "__dir__"}
         if isinstance(node, ast.If):
             return ast.unparse(node.test) == "TYPE_CHECKING"
         if ast.unparse(node).startswith("os.environ.setdefault("):

@@ -20,8 +20,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from granflow.load import load
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, SCENES = ROOT / "docs" / "scenes.md", ROOT / "scenes"

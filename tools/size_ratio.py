@@ -13,8 +13,8 @@ from math import ceil, inf, log2
 
 import numpy as np
 
-from granflow import Scene
 from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.load import Scene
 from granflow.plan import size_classes
 from granflow.simulation import Simulation
 
@@ -36,7 +36,7 @@ def scene_of(ratio: float, count: int) -> Scene:
     width = max((volume / SOLID_FRACTION) ** (1 / 3), 2.1 * diameters[-1] + 0.5 * SMALLEST)
     height = max(volume / SOLID_FRACTION / width**2, diameters[-1])
     classes = [{"diameter": float(each), "fraction": 1.0 / len(diameters)} for each in diameters]
-    return Scene.model_validate({
+    return Scene.from_dict({
         "title": f"Bed of sizes 1 : {ratio:g}",
         "gravity": [0.0, 0.0, -9.81],
         "materials": {"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},

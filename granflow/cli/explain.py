@@ -26,8 +26,8 @@ def explain(options: argparse.Namespace) -> int:
     given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
     if given:
         raise GranflowError(f"--{given[0]} requires --measure: give both or neither.")
+    from granflow.plan.build import plan_for
     from granflow.plan.explain import explain as explain_plan
-    from granflow.plan.plan import plan_for
 
     say(explain_plan(plan_for(scene, on_gpu=options.arch != "cpu")))
     say(f"\nCost of each feature: granflow explain --measure {options.scene}")

@@ -66,7 +66,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
         allow_changes=options.allow_changes, allow_long=options.allow_long,
     )  # fmt: skip
-    if not (simulation.rows_intact or options.allow_changes):
+    if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(
             f"{out / 'timeseries.csv'} lacks rows that were written before the checkpoint: restore the file, or "
             "continue with the remaining rows with --allow-changes."
@@ -136,7 +136,7 @@ def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float
 
 def stopped_where(simulation: "Simulation", out: Path) -> str:
     """Return a sentence with the time [s] at which a run stopped and that of its last checkpoint."""
-    at, saved = f"stopped at {simulation.time:.6g} s", simulation.checkpoint_time
+    at, saved = f"stopped at {simulation.time:.6g} s", simulation.files.checkpoint_time
     if saved == simulation.time:
         return f"{at}; granflow resume {out} continues. {out} contains the run up to this time."
     if saved is None:

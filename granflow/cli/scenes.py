@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
     )
-    warn([*simulation.plan.warnings, *restitution_warnings(simulation.scene, simulation.plan)])
+    warn([*simulation.plan.warnings, *restitution_warnings(scene, simulation.plan)])
     with locked(out):
         prepare_output(out, scene, options.overwrite)  # another process may have used the directory in the meantime
         return run_to_end(simulation, scene, out, options.until)
@@ -71,8 +71,8 @@ def check(options: argparse.Namespace) -> int:
     scene = load(options)
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
+    from granflow.plan.build import plan_for
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
-    from granflow.plan.plan import plan_for
     from granflow.plan.run_time import refuse_run_time
     from granflow.runs.initial_from_run import particles_from_run
 

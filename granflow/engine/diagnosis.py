@@ -24,7 +24,7 @@ from granflow.engine.walls import walls_of
 from granflow.geometry.mesh.contact import reference_contact
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
-from granflow.plan.plan import Plan, pair_material, solid
+from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
 
 FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")
@@ -180,10 +180,10 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
         wall = plan.walls[-1 - partner]
         second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
     overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
-    material = pair_material(plan.scene, first.material, second.material)
+    material = plan.pair_materials[first.material, second.material]
     stiffness = theory.hertz_stiffness(material.modulus_eff, radius_eff)
     impact_velocity = float(np.hypot(approach, np.sqrt(0.8 * stiffness / mass_eff) * (overlap * smaller) ** 1.25))
-    material_solid = solid(plan.scene, first.material)
+    material_solid = plan.solids[first.material]
     pair_case = PairCase(
         "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
     )

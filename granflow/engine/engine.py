@@ -271,14 +271,14 @@ class Engine:
         arrays = copy_to_host(self.state, names, first, last)
         outlet_index = self._outlets_of(arrays["position"].astype(float))
         left_domain = outlet_index < 0
-        if self.plan.scene.domain.on_exit == "error" and left_domain.any():
+        if self.plan.domain.on_exit == "error" and left_domain.any():
             self.state.control.abort[0] = ABORT_LEFT_DOMAIN
             self.state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
         self.accounting.delete(arrays, outlet_index, self._gravity)
 
     def _outlets_of(self, position: np.ndarray) -> np.ndarray:
         """Index of the outlet (n,) that deletes each particle at a position (n, 3) [m], -1 for none."""
-        checked_axes = [axis for axis in range(3) if self.plan.scene.domain.on_exit != "expand"]
+        checked_axes = [axis for axis in range(3) if self.plan.domain.on_exit != "expand"]
         low, high = self.plan.domain_low[checked_axes], self.plan.domain_high[checked_axes]
         in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
         return outlet_of(self.plan.outlets, position, in_domain)

@@ -13,11 +13,11 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> dict[st
 
     Velocities are at the time of the positions; materials are numbers of the plan.
     """
-    scene, count = plan.scene, len(new)
-    density = np.array([material.density for material in scene.materials.values()])
+    count = len(new)
+    density = np.array([solid.density for solid in plan.solids.values()])
     numbers = {name: number for number, name in enumerate(plan.materials)}
-    material = np.array([numbers.get(name, 0) for name in scene.materials])
-    fixed = np.array([group.fixed for group in scene.particles.values()])
+    material = np.array([numbers.get(name, 0) for name in plan.solids])
+    fixed = np.array([group.fixed for group in plan.groups])
     return {
         "id": first_id + np.arange(count),
         "material": material[new.material],

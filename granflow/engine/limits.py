@@ -125,7 +125,7 @@ def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     description = _too_far(diagnosis, plan, time, plan.travel_limit)
     if diagnosis.pair is None:
         speed = diagnosis.body.speed
-        return f"{description} {remedy(plan.scene, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
+        return f"{description} {remedy(plan.step.is_given, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the force of this overlap"
     )
@@ -147,7 +147,7 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Particle outside a domain with `on_exit: error`."""
-    where = plan.scene.where("domain", "on_exit")
+    where = plan.sources["domain.on_exit"]
     name, _, rest = str(diagnosis.body).partition(" (")
     x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
     return (
@@ -159,7 +159,7 @@ def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that the precision does not resolve."""
-    precision, position = plan.scene.run.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
+    precision, position = plan.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
     farthest = max(map(abs, position))
     better = " Use --precision mixed, or" if precision == "f32" else " Use"
     return (
@@ -177,9 +177,8 @@ def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
     limit = plan.wall_travel_limit
     planned = SPEED_MARGIN * diagnosis.body.speed * plan.travel_limit / limit
-    return (
-        f"{_too_far(diagnosis, plan, time, limit)} {slower} {remedy(plan.scene, diagnosis.body.speed, planned, limit)}"
-    )
+    advice = remedy(plan.step.is_given, diagnosis.body.speed, planned, limit)
+    return f"{_too_far(diagnosis, plan, time, limit)} {slower} {advice}"
 
 
 def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.totals import LARGEST_ERROR, ROUNDING
-from granflow.plan.plan import Plan, pair_cases_of
+from granflow.plan.plan import Plan
 from granflow.plan.time_step import stable_step
 
 SPEED_INCREASE = 1.1
@@ -27,7 +27,7 @@ class StabilityMonitor:
         self.plan = plan
         self.warnings: dict[str, str] = {}
         self._fastest = plan.velocity_max
-        self._rounding = ROUNDING[plan.scene.run.precision]
+        self._rounding = ROUNDING[plan.precision]
         self._initial_energy = 0.0
         self._above_since: float | None = None
         self._enabled = not plan.features.energy_budget and _conserves_energy(plan)
@@ -91,7 +91,7 @@ class StabilityMonitor:
         if self.plan.adaptive_time_step is not None or not speed > SPEED_INCREASE * self._fastest:
             return
         self._fastest = speed
-        stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in pair_cases_of(self.plan.scene))
+        stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in self.plan.pair_cases)
         if self.plan.time_step > stable:
             self._warn_once(
                 "speed",
@@ -109,8 +109,7 @@ class StabilityMonitor:
 
 def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
-    walls = plan.scene.walls.values()
-    walls_static = all(wall.stages is None and not wall.appears_at and wall.vanishes_at is None for wall in walls)
+    walls_static = all(wall.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
     has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
     has_image_work = has_image_work or plan.features.lees_edwards

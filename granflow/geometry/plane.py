@@ -6,10 +6,20 @@ share, a particle touches both edges and the stiffness is doubled. A rectangle o
 common edge is accessible only through the half space.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import taichi as ti
 
-from granflow.geometry.shape import Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
+from granflow.geometry.shape import (
+    Shape,
+    ShapeKind,
+    are_perpendicular,
+    distance_from_axis,
+    is_parallel,
+    make_shape,
+    unit,
+)
 
 
 @ti.func
@@ -184,20 +194,19 @@ def half_space(point: object, normal: object) -> Shape:
     return make_shape(HALF_SPACE, point, unit(normal))
 
 
-def rectangle(corner: object, side1: object, side2: object) -> Shape:
+def rectangle(corner: object, side1: Sequence[float], side2: Sequence[float]) -> Shape:
     """Two-sided thin plate from a corner along two perpendicular edge vectors.
 
     corner:        (3,) [m]
     side1, side2:  (3,) [m] edge vectors
-    Raises:        ValueError if the cosine of the angle between the sides exceeds 1e-6, or if a side has no length
+    Raises:        ValueError if the sides are not perpendicular (RIGHT_ANGLE_COSINE), or if a side has no length
 
     The second direction is made exactly perpendicular to the first; the lengths remain those of the edge vectors.
     """
-    direction1, direction2 = unit(side1), unit(side2)
-    skewness = float(direction1 @ direction2)
-    if abs(skewness) > 1e-6:
+    if not are_perpendicular(side1, side2):
         raise ValueError("The sides of a rectangle must be perpendicular.")
-    direction2 = unit(direction2 - skewness * direction1)
+    direction1, direction2 = unit(side1), unit(side2)
+    direction2 = unit(direction2 - float(direction1 @ direction2) * direction1)
     normal = np.cross(direction1, direction2)
     lengths = np.linalg.norm(np.asarray(side1, dtype=float)), np.linalg.norm(np.asarray(side2, dtype=float))
     return make_shape(RECTANGLE, corner, direction1, direction2, normal, *lengths)

@@ -1,12 +1,16 @@
 """Wall shapes: one record per kind of shape, one record per shape."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 PARAMETER_COUNT = 16
 """Number of parameters of every shape, so that all shapes fit one device field."""
+
+RIGHT_ANGLE_COSINE = 1e-6
+"""Largest absolute cosine of an angle that is accepted as 90 deg."""
 
 FAR_AWAY = 1e9
 """Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius plus skin,
@@ -94,6 +98,12 @@ def unit(vector: object) -> np.ndarray:
     if array.shape != (3,) or not length > 0:
         raise ValueError(f"{vector} has no direction.")
     return array / length
+
+
+def are_perpendicular(*vectors: Sequence[float]) -> bool:
+    """Whether each two of the vectors (3,) are perpendicular; their lengths are above 0, and do not matter."""
+    directions = [unit(np.asarray(vector, dtype=np.float64) / np.max(np.abs(vector))) for vector in vectors]
+    return all(abs(float(a @ b)) <= RIGHT_ANGLE_COSINE for a, b in combinations(directions, 2))
 
 
 def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -1,17 +1,18 @@
 """Metrics and fields of a scene for a series of snapshots, such as those read from the files of a run."""
 
-import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.fields import METRIC_QUANTITIES
+from granflow.io.tables import write_table
+from granflow.load import Scene
 from granflow.observers.base import CONTACTS
 from granflow.observers.build import field_frames
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
-from granflow.scene.schema.scene import Scene
+from granflow.plan.build import plan_for
 from granflow.snapshot import Snapshot
 
 MetricRow = dict[str, float | str]
@@ -26,8 +27,9 @@ def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, so
 
     Raises GranflowError if the scene requests nothing, or if snapshots lack contacts.
     """
-    meters = metric_meters(scene)
-    fields = [field_frames(scene, name, spec, out) for name, spec in scene.output.fields.items()]
+    plan = plan_for(scene)
+    meters = metric_meters(plan)
+    fields = [field_frames(plan, name, spec, out) for name, spec in scene.output.fields.items()]
     if not meters and not fields:
         raise GranflowError(
             "Nothing to analyze: the scene has neither output.metrics nor output.fields. Add one, such as "
@@ -62,8 +64,4 @@ def _row(snapshot: Snapshot, meters: dict[str, MetricMeter]) -> MetricRow:
 
 def _write(path: Path, rows: Sequence[MetricRow]) -> None:
     """Write rows as CSV; the directory is created if necessary."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else ["time [s]"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(path, rows[0] if rows else ["time [s]"], (row.values() for row in rows))

@@ -9,10 +9,10 @@ from granflow.io.regular_files import resolved
 from granflow.particles.particle_data import ParticleData, particles_of
 from granflow.particles.table import ParticleTable, read_particles
 from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 
-def table_of(scene: Scene, name: str) -> ParticleTable:
+def table_of(scene: SceneInput, name: str) -> ParticleTable:
     """All rows of the file of a group.
 
     Raises ValueError for a group without a file, and SceneError if the file cannot be read, is invalid, or lies outside
@@ -35,7 +35,7 @@ def table_of(scene: Scene, name: str) -> ParticleTable:
     return read_particles(scene.folder / insertion.file)
 
 
-def rows_of(scene: Scene, name: str) -> ParticleTable:
+def rows_of(scene: SceneInput, name: str) -> ParticleTable:
     """The rows of a group: all, or those of its material (name or number) if the file has a material column.
 
     Raises SceneError if no row matches, or if the file cannot be read.
@@ -51,7 +51,7 @@ def rows_of(scene: Scene, name: str) -> ParticleTable:
     return table.subset(is_own)
 
 
-def unassigned_rows(scene: Scene) -> list[str]:
+def unassigned_rows(scene: SceneInput) -> list[str]:
     """An error message for each file with rows of a material that no group uses; missing files are skipped."""
     files: dict[str, list[str]] = {}
     for name, group in scene.particles.items():
@@ -71,7 +71,7 @@ def unassigned_rows(scene: Scene) -> list[str]:
     return problems
 
 
-def particles_from_file(scene: Scene, name: str) -> ParticleData:
+def particles_from_file(scene: SceneInput, name: str) -> ParticleData:
     """The particles of a group from its file, in the order of its rows.
 
     Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at rest. Raises
@@ -89,6 +89,6 @@ def particles_from_file(scene: Scene, name: str) -> ParticleData:
     return replace(particles, **moving)
 
 
-def _names_of(scene: Scene, material: str) -> list[str]:
+def _names_of(scene: SceneInput, material: str) -> list[str]:
     """Names of a material in a file: its name, or its number in the scene, from 0."""
     return [material, str(list(scene.materials).index(material))]

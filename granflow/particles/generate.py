@@ -17,7 +17,7 @@ from granflow.particles.particle_data import ParticleData, particles_of, random_
 from granflow.particles.regions import sampler_of
 from granflow.particles.sizes import draw_diameters
 from granflow.scene.schema.insertion import FileInsertion, LatticeInsertion, PackInsertion, PositionsInsertion
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 __all__ = ["ParticleData", "Inserter", "initial_particles", "inserters"]
 
@@ -25,7 +25,7 @@ INSERTION_ORDER = ("positions", "file", "lattice", "pack")
 """Groups with given positions first, random packings last, so that each kind can avoid the particles before it."""
 
 
-def initial_particles(scene: Scene, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
+def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | None = None) -> ParticleData:
     """All particles at t = 0, group by group in the order of the scene.
 
     Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do not
@@ -56,7 +56,7 @@ def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) ->
     return Spheres(*periodic_box.with_images(together.position, together.radius))
 
 
-def insert_group(scene: Scene, name: str, existing: Spheres) -> ParticleData:
+def insert_group(scene: SceneInput, name: str, existing: Spheres) -> ParticleData:
     """Initial particles of one group, without overlap with `existing`.
 
     Radii are drawn before positions, with the random number generator of the group. Given positions and files are not

@@ -15,7 +15,7 @@ from granflow.particles.particle_data import ParticleData, particles_of, random_
 from granflow.particles.regions import CylinderSampler, RegionSampler, SlabSampler, sampler_of
 from granflow.particles.sizes import ordered_diameters
 from granflow.scene.schema.insertion import DiscFace, InletInsertion, RainInsertion
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 MAX_BATCHES = 500
 """Largest number of batches of one group: each batch interrupts the device."""
@@ -57,7 +57,7 @@ class Inserter:
     the region.
     """
 
-    def __init__(self, scene: Scene, group_name: str) -> None:
+    def __init__(self, scene: SceneInput, group_name: str) -> None:
         group = scene.particles[group_name]
         self.scene, self.group_name = scene, group_name
         insertion = group.insert
@@ -218,7 +218,7 @@ def _insertion_region(
     return SlabSampler(np.array(rectangle.corner), first, second, depth)
 
 
-def inserters(scene: Scene) -> tuple[Inserter, ...]:
+def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
     """Inserters of all groups with rain or inlet, in the order of the scene.
 
     Raises SceneError with one message for each group that does not fit into its region.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.particles.packing import RegionFullError
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ParticleData:
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
 
-def particles_of(scene: Scene, group_name: str, position: np.ndarray, radius: np.ndarray) -> ParticleData:
+def particles_of(scene: SceneInput, group_name: str, position: np.ndarray, radius: np.ndarray) -> ParticleData:
     """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group.
 
     A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles. Raises KeyError for an
@@ -55,17 +55,17 @@ def particles_of(scene: Scene, group_name: str, position: np.ndarray, radius: np
     )
 
 
-def seeds_of(scene: Scene, group_name: str) -> tuple[int, int]:
+def seeds_of(scene: SceneInput, group_name: str) -> tuple[int, int]:
     """The seeds of a group: that of the scene, and the platform-independent CRC-32 of its name."""
     return scene.seed, zlib.crc32(group_name.encode())
 
 
-def random_for(scene: Scene, group_name: str) -> np.random.Generator:
+def random_for(scene: SceneInput, group_name: str) -> np.random.Generator:
     """The random number generator of one group (PCG64), independent of all other groups and of their order."""
     return np.random.default_rng(np.random.SeedSequence(seeds_of(scene, group_name)))
 
 
-def shortfall(scene: Scene, group_name: str, error: RegionFullError) -> str:
+def shortfall(scene: SceneInput, group_name: str, error: RegionFullError) -> str:
     """Error message for a group that does not fit, with the source position of its count."""
     group = scene.particles[group_name]
     location = scene.locate("particles", group_name, "count")

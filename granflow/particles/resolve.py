@@ -21,17 +21,17 @@ from granflow.scene.schema.fields import Model
 from granflow.scene.schema.insertion import FileInsertion, FileSummary, InletInsertion, RainInsertion
 from granflow.scene.schema.numbers import LARGEST_COUNT, Number
 from granflow.scene.schema.particles import Group
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""
 
 
-def resolve_scene(scene: Scene, read: bool = False) -> Scene:
+def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     """The scene with all counts, at scale 1.
 
     `read`: read existing particle files again even if the scene has their summary, and check that each of their rows
-    belongs to a group. Remarks for the user are in `Scene.remarks`. The argument is not modified.
+    belongs to a group. Remarks for the user are in `remarks` of the result. The argument is not modified.
 
     Raises SceneError with the problems of all groups.
     """
@@ -52,7 +52,7 @@ def resolve_scene(scene: Scene, read: bool = False) -> Scene:
     return resolved_scene
 
 
-def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[str]]:
+def _resolved_group(scene: SceneInput, name: str, read: bool) -> tuple[Group, list[str]]:
     """One group with its count, and remarks for the user. Raises SceneError."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if not isinstance(insertion, FileInsertion):
@@ -62,7 +62,7 @@ def _resolved_group(scene: Scene, name: str, read: bool) -> tuple[Group, list[st
     return _with_rows(scene, name, insertion)
 
 
-def _at_scale_1(scene: Scene) -> tuple[Scene, list[str]]:
+def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
     """The scaled scene at scale 1, and remarks; only expectations with `any_scale` remain.
 
     Raises SceneError for groups with given positions, which cannot be scaled.
@@ -128,7 +128,7 @@ def _power(field: FieldInfo) -> int:
     return max((*powers(field.annotation), *(each for meta in field.metadata for each in powers(meta))), default=0)
 
 
-def _with_count(scene: Scene, name: str) -> Group:
+def _with_count(scene: SceneInput, name: str) -> Group:
     """A group with a count, a mass or an end time: its count is the smallest of the resulting counts.
 
     Raises SceneError if the count exceeds LARGEST_COUNT.
@@ -145,7 +145,7 @@ def _with_count(scene: Scene, name: str) -> Group:
     return group.model_copy(update={"count_given": counts[key], "mass": None})
 
 
-def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
+def _counts(scene: SceneInput, name: str) -> Iterator[tuple[str, int]]:
     """Number of particles that follows from each of the keys count, mass and insert.end, if given.
 
     insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
@@ -163,7 +163,7 @@ def _counts(scene: Scene, name: str) -> Iterator[tuple[str, int]]:
             yield "insert.end", _count_of_mass(scene, name, insertion.mass_flow * duration)
 
 
-def _count_of_mass(scene: Scene, name: str, mass: float) -> int:
+def _count_of_mass(scene: SceneInput, name: str, mass: float) -> int:
     """Number of particles with a total mass [kg] nearest to the given one, for the sizes and the material of a group.
 
     sum d^3 = 6 m / (pi rho)
@@ -173,7 +173,7 @@ def _count_of_mass(scene: Scene, name: str, mass: float) -> int:
     return count_for_volume(group.sizes, 6.0 / pi * mass / density, lambda: random_for(scene, name))
 
 
-def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
+def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
     """A group from a file with the summary of the file, and remarks. Raises SceneError for an inconsistent group."""
     group = scene.particles[name]
     rows = rows_of(scene, name)
@@ -194,7 +194,7 @@ def _with_rows(scene: Scene, name: str, insertion: FileInsertion) -> tuple[Group
     return group.model_copy(update={"count_given": len(rows), "insert": read_insertion}), remarks
 
 
-def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[str]:
+def _inconsistencies(scene: SceneInput, name: str, rows: ParticleTable) -> Iterator[str]:
     """Contradictions between a group in the scene and the rows of its file, one sentence each."""
     group = scene.particles[name]
     if group.count_given not in (None, len(rows)) and scene.is_given("particles", name, "count"):
@@ -211,7 +211,7 @@ def _inconsistencies(scene: Scene, name: str, rows: ParticleTable) -> Iterator[s
         yield f"{rows.path}:{first}: this particle{others} outside the domain."
 
 
-def _overlap(scene: Scene, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
+def _overlap(scene: SceneInput, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
     """Largest overlap over the smaller radius, and remarks; 0 for fixed particles.
 
     (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)

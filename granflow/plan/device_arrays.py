@@ -126,7 +126,7 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries; see `Control`."""
-    chunks, measured, energy_budget = plan.chunk_capacity, len(plan.scene.measured_walls), plan.features.energy_budget
+    chunks, measured, energy_budget = plan.chunk_capacity, len(plan.measured_walls), plan.features.energy_budget
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
         DeviceArray("losses", "f64", (chunks,), len(LOSSES), wanted=energy_budget, saved=True),

@@ -9,8 +9,8 @@ from granflow.errors import SceneError
 from granflow.geometry.catalog import distance_from, reach_about
 from granflow.geometry.motion import single_rotation
 from granflow.geometry.periodic_box import AXES, PeriodicBox
-from granflow.plan.walls import PlannedWall, wall_motions
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene
+from granflow.plan.walls import PlannedWall, always
 
 SAMPLES = 101
 """Points along each side of a face at which walls are compared with those at the opposite face."""
@@ -62,9 +62,9 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
     """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper bound."""
     if scene.domain.on_exit != "expand":
         return
-    always = {stage.name: (0.0, inf) for stage in scene.schedule}
-    for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
-        rotation = single_rotation(motions)
+    times = always(scene)
+    for wall in walls:
+        rotation = single_rotation([each.at(times) for each in wall.motions])
         if rotation and isinf(reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)):
             raise SceneError(
                 f"{scene.locate('walls', wall.name, 'motion')}: walls.{wall.name} is unbounded and rotates, which "

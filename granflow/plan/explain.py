@@ -3,13 +3,13 @@
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from granflow.plan.features import Reason
-from granflow.plan.max_impact_velocity import max_impact_velocity
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
-from granflow.plan.plan import Plan, pair_cases_of
-from granflow.plan.settings import settings_of
+from granflow.plan.plan import Plan
+from granflow.plan.run_time import duration_of
+from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 
@@ -21,8 +21,6 @@ PARTICLE_STEPS_PER_SECOND = 5e6
 
 STEPS_PER_SECOND = 2e5
 """Maximum step rate, for small numbers of particles."""
-
-Precision = Literal["f64", "f32", "mixed"]
 
 
 class ExplainRow(NamedTuple):
@@ -38,8 +36,7 @@ def explain(plan: Plan) -> str:
 
     Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
     """
-    width = plan.scene.run.precision
-    memory = estimate_memory(plan, width)
+    memory = estimate_memory(plan, plan.precision)
     sections = {
         "Features": [_feature_row(reason) for reason in plan.reasons],
         "Time step": _time_step_rows(plan),
@@ -47,12 +44,12 @@ def explain(plan: Plan) -> str:
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
         "Meshes": _mesh_rows(plan),
         "Memory": _memory_rows(plan, memory),
-        "Run": _run_rows(plan, width),
-        "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in settings_of(plan.scene)],
+        "Run": _run_rows(plan),
+        "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
-    if plan.scene.remarks:
-        sections["Changes to the scene as written"] = [ExplainRow("", "", sentence) for sentence in plan.scene.remarks]
-    title = f"{plan.scene.title} ({plan.scene.path})"
+    if plan.remarks:
+        sections["Changes to the scene as written"] = [ExplainRow("", "", sentence) for sentence in plan.remarks]
+    title = f"{plan.title} ({plan.path})"
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
 
@@ -63,8 +60,8 @@ def _feature_row(reason: Reason) -> ExplainRow:
 
 def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the time step and of the quantities that limit it: stability, Rayleigh time, maximum impact velocity."""
-    step, impact_velocity = plan.step, max_impact_velocity(plan.scene)
-    slowest, name = min((rayleigh_time(each.solid, each.radius), each.name) for each in pair_cases_of(plan.scene))
+    step, impact_velocity = plan.step, plan.impact_velocity
+    slowest, name = min((rayleigh_time(each.solid, each.radius), each.name) for each in plan.pair_cases)
     yield ExplainRow("time step", f"{step.value:.4g} s", step.limited_by)
     if plan.adaptive_time_step is not None:
         slow = (
@@ -90,32 +87,29 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
-    groups = ", ".join(f"{name} {count(group.count)}" for name, group in plan.scene.particles.items())
+    groups = ", ".join(f"{group.name} {count(group.count)}" for group in plan.groups)
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
     largest = "" if same else f" to {plan.radius_max:.4g}"
     yield ExplainRow("radius", f"{plan.radius_min:.4g}{largest} m", "one size" if same else "smallest to largest")
     yield ExplainRow("materials", str(plan.material_count), _materials(plan))
-    auto = plan.scene.numerics.skin == "auto"
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
-    yield ExplainRow(
-        "skin", f"{plan.skin:.4g} m", share + ("" if auto else f" ({plan.scene.where('numerics', 'skin')})")
-    )
+    given = f" ({plan.sources['numerics.skin']})" if "numerics.skin" in plan.sources else ""
+    yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)
 
 
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the force-controlled walls with their parameters."""
     for controlled in plan.controlled_motions:
-        where = plan.scene.where("walls", controlled.name, "motion", controlled.motion)
         yield ExplainRow(
             controlled.name,
             controlled.kind,
-            f"{', '.join(f'{name} {value}' for name, value in describe(controlled))} ({where})",
+            f"{', '.join(f'{name} {value}' for name, value in describe(controlled))} ({controlled.source})",
         )
 
 
 def _materials(plan: Plan) -> str:
-    unused = [name for name in plan.scene.materials if name not in plan.materials]
+    unused = [name for name in plan.solids if name not in plan.materials]
     used = f"of particles and walls: {', '.join(plan.materials)}"
     return f"{used}; not used: {', '.join(unused)}" if unused else used
 
@@ -167,29 +161,29 @@ _HISTORY_TEXTS = {
 """Texts for history fields with names that are not self-explanatory."""
 
 
-def _run_rows(plan: Plan, precision: Precision) -> Iterator[ExplainRow]:
+def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of precision, simulated time, numbers of steps and frames, and an estimate of the run time on a CPU.
 
     The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer time.
     """
-    scene = plan.scene
-    ends_at_rest = any(stage.kinetic_energy_below is not None for stage in scene.schedule)
-    longest = sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
+    ends_at_rest = any(stage.kinetic_energy_below is not None for stage in plan.stages)
+    longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
     prefix = "at most " if ends_at_rest else ""
-    stages = ", ".join(f"{stage.name} {_end_text(stage.duration, stage.max_duration)}" for stage in scene.schedule)
-    yield ExplainRow("precision", precision, "")
+    stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
+    yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
     yield ExplainRow("steps", f"{prefix}{count(steps)}", "")
-    frames = int(longest / scene.output.interval) + 1
-    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {scene.output.interval:g} s")
+    frames = int(longest / plan.output.interval) + 1
+    yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
     assumed = f"{PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU"
     yield ExplainRow("run time", f"{prefix or 'about '}{duration(seconds)}", f"an estimate that assumes {assumed}")
 
 
-def _end_text(fixed: float | None, max_duration: float | None) -> str:
-    return f"{fixed:g}\N{NO-BREAK SPACE}s" if fixed is not None else f"at most {max_duration:g}\N{NO-BREAK SPACE}s"
+def _end_text(stage: PlannedStage) -> str:
+    prefix = "" if stage.kinetic_energy_below is None else "at most "
+    return f"{prefix}{stage.longest:g}\N{NO-BREAK SPACE}s"
 
 
 def _aligned(rows: Iterable[ExplainRow]) -> Iterator[str]:

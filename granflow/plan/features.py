@@ -3,9 +3,9 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
 from granflow.plan.walls import is_force_controlled
-from granflow.scene.schema.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from granflow.load import Scene
 from granflow.plan.walls import surface_speed
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.particles import Group
-from granflow.scene.schema.scene import Scene
 
 DEFAULT_SPEED = 1.0
 """Impact velocity [m/s] of a scene without motion and gravity: contacts still require a time step."""

@@ -24,7 +24,7 @@ def required_memory(plan: Plan) -> int:
     Sum of device fields, frames on the host (HOST_PER_PARTICLE) and compiler (RUNTIME).
     """
     host = HOST_PER_PARTICLE * plan.particle_capacity
-    return estimate_memory(plan, plan.scene.run.precision).total + host + RUNTIME
+    return estimate_memory(plan, plan.precision).total + host + RUNTIME
 
 
 def memory_warning(plan: Plan) -> str | None:
@@ -68,8 +68,7 @@ def fits(plan: Plan) -> bool:
 
 def _location(plan: Plan) -> str:
     """File and line of the count of the largest group."""
-    groups = plan.scene.particles
-    return plan.scene.locate("particles", max(groups, key=lambda name: groups[name].count), "count")
+    return max(plan.groups, key=lambda group: group.count).source
 
 
 def _remedies(plan: Plan, needed: int, available: int) -> str:
@@ -78,6 +77,6 @@ def _remedies(plan: Plan, needed: int, available: int) -> str:
     `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available memory.
     """
     fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity))
-    precision_remedy = ", set run.precision to mixed" if plan.scene.run.precision == "f64" else ""
+    precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
     count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
     return f"{count_remedy}{precision_remedy}, or use a machine with more memory"

@@ -13,9 +13,9 @@ from granflow.geometry.mesh.mesh import Mesh, mesh_of
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
 from granflow.io.regular_files import FormatError, resolved
+from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.quantities import Vector3
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.walls import MeshWall, Wall
 
 REFUSED_SIZE_RATIO, WARNED_SIZE_RATIO = 100.0, 5.0

@@ -3,8 +3,8 @@
 import math
 
 from granflow.errors import SceneError
+from granflow.load import Scene
 from granflow.scene.schema.motions import RotationSpec, VibrationSpec
-from granflow.scene.schema.scene import Scene
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""

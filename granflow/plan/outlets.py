@@ -6,8 +6,8 @@ from math import inf
 
 import numpy as np
 
+from granflow.load import Scene
 from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet
-from granflow.scene.schema.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene
 
 COARSEST = 0.1
 """Largest spacing of positions over the smallest radius: above it contact forces are noise in any contact model."""

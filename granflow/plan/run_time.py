@@ -59,13 +59,13 @@ def least_run_time(plan: Plan) -> float:
 
 
 def duration_of(plan: Plan) -> float:
-    """Longest simulated time [s] of all stages: `max_duration` of a stage that may end earlier."""
-    return sum(stage.duration or stage.max_duration or 0.0 for stage in plan.scene.schedule)
+    """Longest simulated time [s] of all stages."""
+    return sum(stage.longest for stage in plan.stages)
 
 
 def _writes(plan: Plan) -> float:
     """Number of frames, rows and checkpoints at intervals of simulated time: at most one of each per step."""
-    output, duration = plan.scene.output, duration_of(plan)
+    output, duration = plan.output, duration_of(plan)
     intervals = (output.interval, output.timeseries_interval, output.checkpoint.interval)
     steps = duration / plan.longest_time_step
     return sum(min(duration / interval, steps) for interval in intervals if interval is not None)
@@ -73,15 +73,11 @@ def _writes(plan: Plan) -> float:
 
 def _refuse_no_step(plan: Plan) -> None:
     """Raise SceneError for the first stage that is shorter than one time step."""
-    scene, step = plan.scene, plan.time_step
-    for index, stage in enumerate(scene.schedule):
-        key = "max_duration" if stage.duration is None else "duration"
-        longest = stage.duration or stage.max_duration or 0.0
-        if longest < step * (1.0 - ROUNDING):
-            path = ("stages", index, key) if scene.stages else ("run", "duration")
-            name = ".".join(map(str, path))
+    step = plan.time_step
+    for stage in plan.stages:
+        if stage.longest < step * (1.0 - ROUNDING):
             raise SceneError(
-                f"{scene.locate(*path)}: {name} is {longest:.3g} s, shorter than one time step of {step:.3g} s "
+                f"{stage.source}: {stage.key} is {stage.longest:.3g} s, shorter than one time step of {step:.3g} s "
                 f"({plan.step.limited_by}). Set it to at least {_rounded_up(step):.3g} s, or lower run.time_step."
             )
 
@@ -93,11 +89,8 @@ def _rounded_up(step: float) -> float:
 
 def _steps_text(plan: Plan, steps: float) -> str:
     """Location and number of the steps, and the reason for their length."""
-    scene = plan.scene
-    given = not isinstance(scene.run.time_step, str)
-    path = ("run", "time_step") if given else ("stages",) if scene.stages else ("run", "duration")
     return (
-        f"{scene.locate(*path)}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
+        f"{plan.sources['steps']}: {duration_of(plan):.3g} s in time steps of {plan.time_step:.3g} s "
         f"({plan.step.limited_by}) are {float(ceil(steps)):.3g} steps"
     )
 

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from granflow.load import Scene
 from granflow.scene.schema.normal import LawSettings
-from granflow.scene.schema.scene import Scene
 
 KeyPath = tuple[str | int, ...]
 """Keys and list indices from the root of a scene."""

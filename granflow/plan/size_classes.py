@@ -1,8 +1,8 @@
 """Range of particle sizes before sampling, and size classes with separate cell grids."""
 
+from granflow.load import Scene
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.particles import Group
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.sizes import ClassSizes
 
 CLASSES_FROM_RATIO = 3.0

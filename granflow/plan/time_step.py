@@ -57,6 +57,8 @@ class TimeStep:
     stable_limit: str
     least_restitution: float
     """Smallest restitution that this step can reproduce at the maximum velocity, given the unloading limit."""
+    is_given: bool
+    """Whether the scene gives the step as a number."""
     warnings: tuple[str, ...]
 
 
@@ -101,7 +103,7 @@ def choose_time_step(
             f"Lower it to {chosen:.2g} s or remove it."
         )
     least, warnings = _restitution_reached(value, pair_cases, law, velocity)
-    return TimeStep(value, limited_by, stable, stable_name, least, warnings)
+    return TimeStep(value, limited_by, stable, stable_name, least, given is not None, warnings)
 
 
 def resolution_warning(

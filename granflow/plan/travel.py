@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from granflow.errors import SceneError
+from granflow.load import Scene
 from granflow.scene.schema.run import LARGEST_OVERLAP
-from granflow.scene.schema.scene import Scene
 
 STEP_SHARE = 1.0 - LARGEST_OVERLAP
 """Largest distance per step, of a particle and of a wall, over the smallest radius R.
@@ -34,7 +34,7 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
             statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
+            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) -> None:
@@ -58,21 +58,21 @@ def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, li
     for name, speed in speeds.items():
         if speed * step > limit:
             statement = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
-            raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
+            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
 
 
 def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
     """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s]."""
     if speed * step > limit:
         statement = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
-        raise SceneError(f"{statement}{per_step(scene, speed, step, limit)}")
+        raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
 
 
-def per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
+def _per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
     """End of a sentence on a speed [m/s] too high for a step [s], with the remedy."""
     return (
         f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m: beyond it "
-        f"contacts can be missed. {remedy(scene, speed, speed, limit)}"
+        f"contacts can be missed. {remedy(not isinstance(scene.run.time_step, str), speed, speed, limit)}"
     )
 
 
@@ -81,8 +81,11 @@ def share_of(limit: float, radius_min: float) -> str:
     return f"{limit / radius_min:.2g} of the smallest radius {radius_min:.3g} m"
 
 
-def remedy(scene: Scene, speed: float, planned_speed: float, limit: float) -> str:
-    """Remedy for a displacement per step above the limit [m]: a shorter given step, or a higher planned velocity."""
-    if isinstance(scene.run.time_step, str):
-        return f"Set run.velocity_max to {planned_speed:.3g} m/s, or lower the speed."
-    return f"Lower run.time_step to {STEP_MARGIN * limit / speed:.2g} s, or lower the speed."
+def remedy(step_is_given: bool, speed: float, planned_speed: float, limit: float) -> str:
+    """Remedy for a displacement per step above the limit [m].
+
+    If the scene gives the time step a shorter one, otherwise a higher planned velocity.
+    """
+    if step_is_given:
+        return f"Lower run.time_step to {STEP_MARGIN * limit / speed:.2g} s, or lower the speed."
+    return f"Set run.velocity_max to {planned_speed:.3g} m/s, or lower the speed."

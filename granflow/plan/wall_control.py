@@ -11,10 +11,10 @@ from granflow.contact.model import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import unit
+from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema.motions import FreeWallSpec, ServoSpec
-from granflow.scene.schema.scene import Scene
 
 GAIN_SHARE = 0.2
 """Share of the force error that a servo corrects in one step, if all particles within reach are in contact."""
@@ -45,6 +45,8 @@ class ControlledMotion:
     """Free wall: mass [kg]."""
     damping: float
     """Free wall: damping [kg/s]."""
+    source: str
+    """Line of the motion in the scene file."""
 
     @property
     def key(self) -> str:
@@ -98,7 +100,17 @@ def _servo(
         force = given.pressure * (area_of(wall.shape) or 0.0)
     gain = given.gain if given.gain is not None else GAIN_SHARE / (all_contacts * step)
     return ControlledMotion(
-        index, number, wall.name, "servo", _unit(given), force, gain, given.velocity_max, mass=1.0, damping=0.0
+        index,
+        number,
+        wall.name,
+        "servo",
+        _unit(given),
+        force,
+        gain,
+        given.velocity_max,
+        mass=1.0,
+        damping=0.0,
+        source=scene.where("walls", wall.name, "motion", number),
     )
 
 
@@ -120,7 +132,17 @@ def _free(
     direction = _unit(given)
     force = given.force + given.mass * float(np.dot(scene.gravity, direction))
     return ControlledMotion(
-        index, number, wall.name, "free", direction, force, 0.0, 0.0, mass=given.mass, damping=given.damping
+        index,
+        number,
+        wall.name,
+        "free",
+        direction,
+        force,
+        0.0,
+        0.0,
+        mass=given.mass,
+        damping=given.damping,
+        source=scene.where("walls", wall.name, "motion", number),
     )
 
 

@@ -1,19 +1,20 @@
 """Wall shapes and motions in numeric form; motions with stages get their times when the stages begin."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import inf
 from typing import Any
 
 import numpy as np
 
 from granflow.geometry import motion, plane, revolved
-from granflow.geometry.catalog import Surface, area_of, reach_about
+from granflow.geometry.catalog import Surface, reach_about
 from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
+from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
+from granflow.scene.schema import scene as scene_schema
 from granflow.scene.schema.motions import FreeWallSpec, RotationSpec, ServoSpec, TranslationSpec
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
@@ -21,12 +22,44 @@ StageTimes = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
+class PlannedMotion:
+    """One motion of a wall; with `stages`, it runs from the start of the first of them to the end of the last."""
+
+    given: motion.Motion
+    stages: tuple[str, ...] | None
+
+    def at(self, stage_times: StageTimes) -> motion.Motion:
+        """The motion with its times [s], given those of the stages; infinite if its stages have not begun."""
+        if self.stages is None:
+            return self.given
+        started = [stage_times[name] for name in self.stages if name in stage_times]
+        start, end = (started[0][0], started[-1][1]) if started else (inf, inf)
+        return replace(self.given, start=start, end=end)
+
+
+@dataclass(frozen=True)
 class PlannedWall:
-    """One wall: name in the scene, shape at rest (triangle mesh or analytic surface), material number in the plan."""
+    """One wall: name in the scene, shape at rest (triangle mesh or analytic surface), material number in the plan.
+
+    `stages`: those in which it is present, None for all. It is present from `appears_at` up to `vanishes_at` [s].
+    """
 
     name: str
     shape: Surface
     material: int
+    motions: tuple[PlannedMotion, ...]
+    stages: tuple[str, ...] | None
+    appears_at: float
+    vanishes_at: float
+
+    def is_present(self, stage: str, time: float) -> bool:
+        """Whether the wall is present in a stage at `time` [s]."""
+        return (self.stages is None or stage in self.stages) and self.appears_at <= time < self.vanishes_at
+
+    @property
+    def is_permanent(self) -> bool:
+        """Whether the wall is present during the whole run."""
+        return self.stages is None and self.appears_at <= 0.0 and self.vanishes_at == inf
 
 
 def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[PlannedWall, ...]:
@@ -44,7 +77,18 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
     ]
     joined = join_shared_edges([shape_of(wall) for wall in primitives.values()], groups)
     surfaces |= dict(zip(primitives, joined, strict=True))
-    return tuple(PlannedWall(name, surfaces[name], material_numbers[wall.material]) for name, wall in walls.items())
+    return tuple(
+        PlannedWall(
+            name,
+            surfaces[name],
+            material_numbers[wall.material],
+            planned_motions(wall, scene.gravity),
+            wall.stages,
+            wall.appears_at or 0.0,
+            inf if wall.vanishes_at is None else wall.vanishes_at,
+        )
+        for name, wall in walls.items()
+    )
 
 
 def shape_of(wall: AnyWall) -> Shape:
@@ -64,12 +108,11 @@ def shape_of(wall: AnyWall) -> Shape:
     return revolved.disc(wall.center, wall.normal, wall.radius, wall.hole_radius)
 
 
-def wall_motions(scene: Scene, stage_times: StageTimes) -> tuple[tuple[motion.Motion, ...], ...]:
-    """Motions of each wall in the order of the scene, given the times of the stages.
-
-    The motions of a stage that has not begun start at infinity. Angles [rad], times [s].
-    """
-    return tuple(tuple(_motion(scene, each, stage_times) for each in wall.motion) for wall in scene.walls.values())
+def wall_motions(
+    motions: Iterable[Sequence[PlannedMotion]], stage_times: StageTimes
+) -> tuple[tuple[motion.Motion, ...], ...]:
+    """Motions of each wall with their times [s], given the times of the stages that have begun."""
+    return tuple(tuple(each.at(stage_times) for each in of_wall) for of_wall in motions)
 
 
 def is_force_controlled(wall: AnyWall) -> bool:
@@ -77,16 +120,24 @@ def is_force_controlled(wall: AnyWall) -> bool:
     return any(isinstance(each, ServoSpec | FreeWallSpec) for each in wall.motion)
 
 
-def _motion(scene: Scene, given: Any, stage_times: StageTimes) -> motion.Motion:
-    """One motion in numeric form: unit vectors, SI units, start and end [s]."""
-    start, end = _span(given, stage_times)
+def planned_motions(wall: scene_schema.AnyWall, gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
+    """Motions of a wall in numeric form: unit vectors, SI units.
+
+    `gravity` (3,) [m/s2]: for amplitudes given by Gamma.
+    """
+    return tuple(PlannedMotion(_motion(each, gravity), each.stages) for each in wall.motion)
+
+
+def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
+    """One motion in numeric form, with the start and end [s] of the scene."""
+    start, end = given.start or 0.0, inf if given.end is None else given.end
     if isinstance(given, ServoSpec | FreeWallSpec):
         return motion.ForceControlled(start, end)
     if isinstance(given, TranslationSpec):
         return motion.Translation(given.velocity, start, end)
     if isinstance(given, RotationSpec):
         return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
-    amplitude, omega = given.amplitude_and_angular_frequency(scene.gravity)
+    amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
 
 
@@ -95,42 +146,18 @@ def _unit_vector(given: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _span(given: Any, stage_times: StageTimes) -> tuple[float, float]:
-    """Start and end [s] of a motion; (infinity, infinity) if its stages have not begun."""
-    if given.stages is None:
-        return given.start or 0.0, inf if given.end is None else given.end
-    started = [stage_times[name] for name in given.stages if name in stage_times]
-    if not started:
-        return inf, inf
-    return started[0][0], started[-1][1]
-
-
-def wall_presence(scene: Scene, stage: str, time: float) -> tuple[bool, ...]:
-    """Presence of each wall in the order of the scene, in a stage at `time` [s].
-
-    A wall is present from `appears_at` up to, but not including, `vanishes_at` [s].
-    """
-    return tuple(
-        (wall.stages is None or stage in wall.stages)
-        and (wall.appears_at or 0.0) <= time
-        and (wall.vanishes_at is None or time < wall.vanishes_at)
-        for wall in scene.walls.values()
-    )
-
-
-def wall_change_times(scene: Scene) -> tuple[float, ...]:
-    """Times [s] in the scene at which a wall appears or vanishes, in ascending order.
+def wall_change_times(walls: Sequence[PlannedWall]) -> tuple[float, ...]:
+    """Times [s] given in the scene at which a wall appears or vanishes, in ascending order.
 
     Changes at the start and end of stages are not included.
     """
-    times = {time for wall in scene.walls.values() for time in (wall.appears_at, wall.vanishes_at) if time}
-    return tuple(sorted(times))
+    times = {time for wall in walls for time in (wall.appears_at, wall.vanishes_at)}
+    return tuple(sorted(times - {0.0, inf}))
 
 
-def measured_areas(scene: Scene) -> dict[str, float | None]:
-    """Area [m2] of each wall with measured wall forces, by name; None for an unbounded wall."""
-    meshes = meshes_of(scene)
-    return {name: area_of(meshes.get(name) or shape_of(scene.walls[name])) for name in scene.measured_walls}
+def always(scene: Scene) -> StageTimes:
+    """Times of stages that never end: all motions of the scene are possible at any time."""
+    return {stage.name: (0.0, inf) for stage in scene.schedule}
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
@@ -138,10 +165,11 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
 
     Prescribed motions only; a surface of revolution that rotates about its own axis does not move as geometry.
     """
-    always = {stage.name: (0.0, inf) for stage in scene.schedule}
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
-    for wall, motions in zip(walls, wall_motions(scene, always), strict=True):
+    times = always(scene)
+    for wall in walls:
+        motions = [each.at(times) for each in wall.motions]
         rotation = motion.single_rotation(motions)
         reach = 0.0
         if rotation is not None:
@@ -156,10 +184,11 @@ def surface_speed(scene: Scene) -> float:
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
-    always = {stage.name: (0.0, inf) for stage in scene.schedule}
+    times = always(scene)
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0
-    for wall, motions in zip(scene.walls.values(), wall_motions(scene, always), strict=True):
+    for wall in scene.walls.values():
+        motions = [each.at(times) for each in planned_motions(wall, scene.gravity)]
         controlled_speed = sum(_force_controlled_speed(scene, each, extent) for each in wall.motion)
         fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
     return fastest

@@ -78,6 +78,6 @@ def _check_memory(part: Part, length: np.ndarray, plan: Plan) -> None:
     if largest <= plan.list_capacity_per_chunk:
         return
     entries = plan.chunk_capacity * grown_capacity(largest)
-    needed, free = entries * estimate_memory(plan, plan.scene.run.precision).per_neighbor, available_memory()
+    needed, free = entries * estimate_memory(plan, plan.precision).per_neighbor, available_memory()
     if entries > MAX_LIST_ENTRIES or (free is not None and needed > free):
         raise part.error(f"requires {needed / 1e9:.3g} GB for {entries} list entries")

@@ -9,10 +9,10 @@ from granflow.engine.accounting import SAVED_NUMBERS
 from granflow.engine.checkpoint import CLOCKS
 from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, Part
+from granflow.load import Scene
 from granflow.plan.device_arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.runs.checkpoint_neighbors import check_neighbors
-from granflow.scene.schema.scene import Scene
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
@@ -132,11 +132,11 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
         accounting[name].amount(kind)
-    for outlet in accounting["outlets"].parts(plan.scene.outlets):
+    for outlet in accounting["outlets"].parts([outlet.name for outlet in plan.outlets]):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
-    accounting["material"].integers(inserted, high=len(plan.scene.materials) - 1)
-    accounting["group"].integers(inserted, high=len(plan.scene.particles) - 1)
+    accounting["material"].integers(inserted, high=len(plan.solids) - 1)
+    accounting["group"].integers(inserted, high=len(plan.groups) - 1)
 
 
 def _check_arrays(
@@ -194,7 +194,7 @@ def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.skin + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than the skin allows")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
-    if plan.scene.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
+    if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
 
 

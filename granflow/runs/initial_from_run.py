@@ -7,11 +7,10 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
-from granflow.load import scene_of
+from granflow.load import Scene, scene_of
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.size_classes import diameter_range
 from granflow.runs.checkpoint_validation import check_particles_alone
-from granflow.scene.schema.scene import Scene
 
 ROUNDING = 1e-6
 """Relative tolerance of the diameters from an earlier run, which may be rounded to single precision."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from granflow.io.atomic_files import replacing
 from granflow.io.regular_files import resolved
+from granflow.load import Scene
 from granflow.plan.meshes import mesh_path
 from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.walls import MeshWall
 
 RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")

@@ -1,5 +1,6 @@
 """Particle insertion during a run."""
 
+import logging
 from collections import Counter
 from collections.abc import Container, Iterator
 from math import inf
@@ -9,8 +10,8 @@ import numpy as np
 
 from granflow.engine.engine import Engine
 from granflow.engine.host_copy import copy_to_host
+from granflow.load import Scene
 from granflow.particles.insertion import inserters
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.sizes import ClassSizes
 
 
@@ -66,6 +67,14 @@ class ParticleInsertion:
             }
             for inserter in self._inserters
         }
+
+    def log_end(self) -> None:
+        """Log the size classes, and warn about particles that were not inserted."""
+        log = logging.getLogger("granflow")
+        for sentence in self.class_shares():
+            log.info("%s", sentence)
+        for sentence in self.shortfalls():
+            log.warning("%s", sentence)
 
     def shortfalls(self) -> Iterator[str]:
         """Yield a sentence for each group with particles that are queued or were not due before the end."""

@@ -16,8 +16,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from granflow.errors import GranflowError
+from granflow.load import Scene
 from granflow.runs.input_copies import input_files
-from granflow.scene.schema.scene import Scene
 
 RESULT_FILES = (
     *("particles.pvd", "contacts.pvd", "walls.pvd", "particles_*.vtu", "contacts_*.vtu", "walls_*.vtu"),

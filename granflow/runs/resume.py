@@ -1,27 +1,21 @@
-"""Checks whether a run can continue from a checkpoint with a given scene, and schedules new checkpoints."""
+"""Checks whether a run can continue from a checkpoint with a given scene."""
 
 import hashlib
-import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
-from granflow.io.checkpoint import Checkpoint, remove_old_checkpoints, write_checkpoint
-from granflow.load import scene_of
-from granflow.observers.schedule import Schedule
+from granflow.io.checkpoint import Checkpoint
+from granflow.load import Scene, scene_of
 from granflow.plan.plan import Plan
-from granflow.plan.walls import StageTimes, wall_motions
+from granflow.plan.walls import StageTimes, planned_motions, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
-from granflow.scene.schema.output import Checkpoints
-from granflow.scene.schema.scene import Scene
 
 PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
@@ -72,8 +66,8 @@ class Change:
         return any(each.key.startswith((f"stages.{index}.", "run.duration")) for each in self.differences)
 
 
-def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> Change:
-    """Check the checkpoint and return the differences between its scene and that of the plan.
+def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_changes: bool) -> Change:
+    """Check the checkpoint and return the differences between its scene and the present one, whose plan is `plan`.
 
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
@@ -82,10 +76,10 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
-    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, plan.scene.text()))
+    before = scene_of(checkpoint.scene, str(checkpoint.path))
     check_run(checkpoint, before, plan_fingerprint(plan))
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
-    refused = forbidden(before, now, stages_over)
+    refused = forbidden(before, scene, stages_over)
     if refused and not allow_changes:
         named = " ".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
         raise GranflowError(
@@ -94,7 +88,7 @@ def accepted_change(checkpoint: Checkpoint, plan: Plan, allow_changes: bool) -> 
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
     check_engine(checkpoint, plan, before)
-    return Change(differences(before, now))
+    return Change(differences(before, scene))
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
@@ -123,7 +117,8 @@ def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: floa
     corners of the domain.
     """
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions = [wall_motions(scene, stage_times) for scene in (before, plan.scene)]
+    motions_before = [planned_motions(wall, before.gravity) for wall in before.walls.values()]
+    motions = [wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
         moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
         if moved > MAX_JUMP * plan.radius_min:
@@ -137,42 +132,3 @@ def _positions(motions: Sequence[Motion], time: float, points: np.ndarray) -> np
     """Return the positions (n, 3) [m] at `time` [s] of points (n, 3) [m] at rest that move with a wall."""
     pose_at_time = pose(motions, np.array([time]))
     return (points - pose_at_time.pivot) @ pose_at_time.rotation[0].T + pose_at_time.pivot + pose_at_time.offset[0]
-
-
-class CheckpointWriter:
-    """Schedules and writes the checkpoints of one run, and keeps the newest few.
-
-    `settings`: `interval` [s] of simulated time, or None; `wall_clock` [s]; `keep`: number of files. The wall clock is
-    monotonic: a change of the system time has no effect. `last_time` [s]: of the last checkpoint, None before it.
-    """
-
-    def __init__(self, directory: Path, settings: Checkpoints) -> None:
-        self._directory, self._settings = directory, settings
-        self._schedule = Schedule(settings.interval) if settings.interval else None
-        self._written_at = clock.monotonic()
-        self.last_time: float | None = None
-
-    def start(self, time: float) -> None:
-        """Start the schedule at `time` [s]."""
-        self._written_at = clock.monotonic()
-        if self._schedule is not None:
-            self._schedule.mark_done(time)
-
-    def next_time(self) -> float:
-        """Return the simulated time of the next scheduled checkpoint [s], regardless of the wall clock."""
-        return inf if self._schedule is None else self._schedule.next_time()
-
-    def due(self, time: float) -> bool:
-        """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
-        return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
-
-    def write(self, scene: Scene, time: float, step: int, saved: dict[str, Any]) -> None:
-        """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
-
-        `time` [s], `step`: of the state `saved`, as in `write_checkpoint`. Raises OSError if the file cannot be
-        written.
-        """
-        self.start(time)
-        write_checkpoint(self._directory, scene.text(), time, step, saved)
-        remove_old_checkpoints(self._directory, self._settings.keep)
-        self.last_time = time

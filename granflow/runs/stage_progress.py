@@ -5,8 +5,8 @@ from math import inf
 from typing import Any
 
 from granflow.engine.engine import Engine
-from granflow.plan.walls import StageTimes, wall_change_times, wall_motions, wall_presence
-from granflow.scene.schema.scene import Scene
+from granflow.plan.plan import Plan
+from granflow.plan.walls import wall_change_times, wall_motions
 
 REST_CHECKS = 200
 """Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
@@ -32,9 +32,9 @@ class StageProgress:
     arrived: bool = False
 
     @classmethod
-    def of(cls, scene: Scene) -> "StageProgress":
+    def of(cls, plan: Plan) -> "StageProgress":
         """Return the progress before the first step."""
-        return cls(scene.schedule[0].name, wall_change_times(scene))
+        return cls(plan.stages[0].name, wall_change_times(plan.walls))
 
     def begin(self, stage: str, time: float, check_interval: float) -> None:
         """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
@@ -60,14 +60,14 @@ class StageProgress:
         self.changes = remaining
         return changed
 
-    def set_walls(self, scene: Scene, engine: Engine) -> None:
+    def set_walls(self, engine: Engine) -> None:
         """Copy presence and motions of the walls to the device.
 
         Presence is that of the middle of the next step, so that a change due at the present time is included.
         """
-        times: StageTimes = self.stage_times
-        presence = wall_presence(scene, self.stage, engine.time + 0.5 * engine.time_step)
-        engine.set_walls(presence, wall_motions(scene, times))
+        walls, middle = engine.plan.walls, engine.time + 0.5 * engine.time_step
+        presence = [wall.is_present(self.stage, middle) for wall in walls]
+        engine.set_walls(presence, wall_motions([wall.motions for wall in walls], self.stage_times))
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""

@@ -1,1 +1,1 @@
-"""Scene files: reading, validation, messages, and the immutable `Scene`."""
+"""Scene files: reading, validation, messages, and the scene as written, `SceneInput`."""

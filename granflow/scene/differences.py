@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "title, description and expectations",
@@ -43,7 +43,7 @@ class Difference(NamedTuple):
         return f"{self.key} was {shown[0]} and is {shown[1]}"
 
 
-def differences(before: Scene, now: Scene) -> tuple[Difference, ...]:
+def differences(before: SceneInput, now: SceneInput) -> tuple[Difference, ...]:
     """All keys that differ, in the order of the scenes, with defaults included.
 
     Lists of numbers are compared as a whole, lists of mappings entry by entry.
@@ -53,7 +53,7 @@ def differences(before: Scene, now: Scene) -> tuple[Difference, ...]:
     return tuple(Difference(key, first.get(key), second.get(key)) for key in keys if first.get(key) != second.get(key))
 
 
-def forbidden(before: Scene, now: Scene, stages_over: int) -> tuple[Difference, ...]:
+def forbidden(before: SceneInput, now: SceneInput, stages_over: int) -> tuple[Difference, ...]:
     """Differences that prevent a resume of a run whose first `stages_over` stages have ended.
 
     A difference is permitted if its key is in ALLOWED_CHANGES and not in an ended stage, or if it adds a stage.

@@ -133,7 +133,7 @@ class Document:
 
     def key_position(self, path: KeyPath) -> SourcePosition:
         """Source position of the key at a path, or of the nearest existing parent key."""
-        position = SourcePosition(self.source, 1, 1)
+        position = SourcePosition(self.source, 1, 1) if self.root.position.line else self.root.position
         node: Node | None = self.root
         for key in path:
             entries = node.entries if node is not None else None

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _TITLE = "granflow scene"
@@ -14,7 +14,7 @@ def json_schema() -> dict[str, Any]:
     Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between parts, such
     as a missing pair. The result contains plain Python data only and can be written as JSON.
     """
-    schema = Scene.model_json_schema(by_alias=True)
+    schema = SceneInput.model_json_schema(by_alias=True)
     return {"$schema": _DIALECT, **_simplified(schema), "title": _TITLE}
 
 

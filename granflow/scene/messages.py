@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails
 
 from granflow.scene.document import Document, KeyPath, Node, Problem
 from granflow.scene.schema.fields import Fault, missing, tag_of, whole
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest, suggestion_or_list
 
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
@@ -95,7 +95,7 @@ class _SchemaError:
 
     def keys(self) -> list[str]:
         """The keys of the model that contains the location."""
-        return _keys(model_at(Scene, self.loc[:-1]))
+        return _keys(model_at(SceneInput, self.loc[:-1]))
 
     def suggested(self) -> KeyPath:
         """Path of the key that an unknown key probably means; the path of the unknown key if none is similar."""
@@ -113,7 +113,7 @@ class _SchemaError:
         if self.type == "literal_error":
             return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
         if self.type in ("model_type", "model_attributes_type"):
-            keys = ", ".join(_keys(model_at(Scene, self.loc)))
+            keys = ", ".join(_keys(model_at(SceneInput, self.loc)))
             return Fault(self.path, f"a mapping with the keys {keys} is expected")
         if self.of_key:
             return whole(self.path, f"is not valid here: {self.message}")
@@ -121,7 +121,7 @@ class _SchemaError:
 
     def _description(self) -> str:
         """Description of the missing key from the schema."""
-        model = model_at(Scene, self.loc[:-1])
+        model = model_at(SceneInput, self.loc[:-1])
         fields = model.model_fields.items() if model else ()
         found = [field.description for name, field in fields if self.loc[-1] in (name, field.alias)]
         return (found and found[0]) or "it is required"
@@ -135,7 +135,7 @@ class _SchemaError:
         if node is None or "reason" in self.context:
             return Fault(self.path, self.context.get("reason", "it cannot be read"))
         key = self.context["key"]
-        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(Scene, self.loc))]
+        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(SceneInput, self.loc))]
         names = [name for name in names if name not in ("number", "list", "none")]
         if node.entries is not None and key in node.entries:
             return self._one_of((*self.path, key), names)
@@ -157,7 +157,7 @@ class _SchemaError:
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:
     """The model at the location of an error; None for a plain value.
 
-    `annotation`: type at the root, such as Scene; `loc`: location as in pydantic, with union tags.
+    `annotation`: type at the root, such as SceneInput; `loc`: location as in pydantic, with union tags.
     """
     found = _annotation_at(annotation, loc)
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None

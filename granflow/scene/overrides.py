@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
 from granflow.scene.messages import dotted, model_at
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.yaml12 import parse
 
@@ -82,8 +82,10 @@ def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int,
 
     Raises _Refused for an unknown part.
     """
-    if model_at(Scene, tuple(keys[: depth + 1])) is None or (depth and model_at(Scene, tuple(keys[:depth])) is None):
-        known = list(entries) if depth else list(Scene.model_fields)
+    if model_at(SceneInput, tuple(keys[: depth + 1])) is None or (
+        depth and model_at(SceneInput, tuple(keys[:depth])) is None
+    ):
+        known = list(entries) if depth else list(SceneInput.model_fields)
         parent = dotted(keys[:depth]) or "the scene"
         remedy = suggestion_or_list(keys[depth], known, f"keys in {parent}")
         raise _Refused(f"{dotted(keys[: depth + 1])} is not in the scene. {remedy.rstrip('.')}".rstrip() + _dot(remedy))

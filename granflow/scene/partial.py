@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field, create_model
 
 from granflow.scene.document import Document, KeyPath
 from granflow.scene.schema.fields import Fault, Model
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest
 
 
@@ -22,8 +22,8 @@ class PartialScene:
     """
 
     document: Document
-    scene: Scene
-    complete: frozenset[str] = frozenset(Scene.model_fields)
+    scene: SceneInput
+    complete: frozenset[str] = frozenset(SceneInput.model_fields)
     indices: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     def names(self, section: str) -> tuple[str, ...]:
@@ -69,15 +69,17 @@ def partial_scene_of(document: Document, data: Mapping[str, Any], errors: Iterab
         else:
             indices[name] = [index for index in range(len(items)) if (name, index) not in broken]
             sections[name] = [items[index] for index in indices[name]]
-    valid = Scene.model_construct(**dict(_without_required_keys().model_validate(sections)))
-    absent = {name for name, each in Scene.model_fields.items() if each.is_required() and name not in data}
-    return PartialScene(document, valid, frozenset(Scene.model_fields) - absent - {loc[0] for loc in broken}, indices)
+    valid = SceneInput.model_construct(**dict(_without_required_keys().model_validate(sections)))
+    absent = {name for name, each in SceneInput.model_fields.items() if each.is_required() and name not in data}
+    return PartialScene(
+        document, valid, frozenset(SceneInput.model_fields) - absent - {loc[0] for loc in broken}, indices
+    )
 
 
 @cache
 def _several() -> frozenset[str]:
     """The sections with several entries: mappings by name, and lists of models."""
-    kinds = {name: get_origin(each.annotation) for name, each in Scene.model_fields.items() if name != "gravity"}
+    kinds = {name: get_origin(each.annotation) for name, each in SceneInput.model_fields.items() if name != "gravity"}
     return frozenset(name for name, kind in kinds.items() if kind in (dict, tuple))
 
 
@@ -85,14 +87,14 @@ def _several() -> frozenset[str]:
 def _without_required_keys() -> type[BaseModel]:
     """The schema of a scene in which every key is optional: missing mappings are empty, other missing parts None."""
     fields: dict[str, Any] = {}
-    for name, each in Scene.model_fields.items():
+    for name, each in SceneInput.model_fields.items():
         kind: Any = each.annotation
         for meta in each.metadata:
             kind = Annotated[kind, meta]
         empty: Any = {} if get_origin(each.annotation) is dict else None
         default = empty if each.is_required() else each.get_default(call_default_factory=True)
         fields[name] = (kind, Field(default))
-    return create_model("PartialSections", __config__=Scene.model_config, **fields)
+    return create_model("PartialSections", __config__=SceneInput.model_config, **fields)
 
 
 def _faults(value: Any, path: KeyPath) -> Iterator[Fault]:

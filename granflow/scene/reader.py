@@ -11,7 +11,7 @@ from granflow.scene.document import Document, DocumentError, Problem
 from granflow.scene.messages import problems_of
 from granflow.scene.partial import PartialScene, partial_scene_of
 from granflow.scene.schema.materials import RestitutionFit
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest
 from granflow.scene.validation import consistency_problems
 from granflow.scene.yaml12 import parse
@@ -20,7 +20,7 @@ _MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
 _MAX_SHOWN = 100  # problems
 
 
-def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> Scene:
+def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | None = None) -> SceneInput:
     """The validated scene of a document; paths are relative to `folder` (default: the working directory).
 
     The scene is not resolved: counts from masses, contents of files and `scale` are not applied yet. Raises the same
@@ -105,11 +105,11 @@ def _decoded(raw: bytes, path: Path) -> str:
     return text
 
 
-def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
+def _validated(document: Document) -> tuple[SceneInput | None, list[Problem]]:
     """The scene, or None if it does not satisfy the schema, and all problems of schema and consistency."""
     data = document.root.data()
     try:
-        scene = _resolved_law(Scene.model_validate(data))
+        scene = _resolved_law(SceneInput.model_validate(data))
     except ValidationError as error:
         details = error.errors(include_url=False, include_input=False)
         parts = partial_scene_of(document, data, [each["loc"] for each in details])
@@ -117,7 +117,7 @@ def _validated(document: Document) -> tuple[Scene | None, list[Problem]]:
     return scene, consistency_problems(PartialScene(document, scene))
 
 
-def _resolved_law(scene: Scene) -> Scene:
+def _resolved_law(scene: SceneInput) -> SceneInput:
     """The scene with the parameters of the normal contact model that follow if every restitution is a number.
 
     Example: `restitution_at` of zhou becomes constant.

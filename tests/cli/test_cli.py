@@ -28,7 +28,8 @@ def stubs(monkeypatch, tmp_path):
     calls = types.SimpleNamespace(raises=None, expectations=(), warnings=())
 
     class Simulation:
-        time = checkpoint_time = 0.25
+        time = 0.25
+        files = types.SimpleNamespace(checkpoint_time=0.25)
 
         def __init__(self, scene, **options):
             calls.simulation = options
@@ -59,7 +60,7 @@ def stubs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.load, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
-    no_warnings = types.SimpleNamespace(warnings=lambda plan: [])
+    no_warnings = types.SimpleNamespace(warnings=lambda scene, plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.restitution", no_warnings)
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)

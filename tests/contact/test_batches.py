@@ -5,7 +5,7 @@ import pytest
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
 from subprocess_runner import in_subprocess
 
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 
 REFERENCE = {"stiffness": {"reference_velocity": 1.0}}
 NORMALS = {

@@ -10,10 +10,10 @@ from subprocess_runner import in_subprocess
 
 from granflow.contact import theory
 from granflow.engine.threads import workers
+from granflow.load import Scene
 from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
-from granflow.plan.plan import pair_cases_of
 from granflow.plan.time_step import choose_time_step
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.run import Numerics
 from granflow.simulation import Simulation
 
 RADIUS = 0.005
@@ -22,7 +22,7 @@ RADIUS = 0.005
 def adaptive(scene, **run):
     described = scene.model_dump(by_alias=True, exclude_none=True)
     described["run"] |= {"time_step": "adaptive"} | run
-    return Scene.model_validate(described)
+    return Scene.from_dict(described)
 
 
 def pair_at(gap, velocity, **run):
@@ -42,9 +42,9 @@ def first_adapted_step(scene):
 
 
 def planned_step(plan, velocity):
-    numerics = plan.scene.numerics
+    numerics = Numerics()
     bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
-    return choose_time_step(None, pair_cases_of(plan.scene), plan.law, velocity, *bounds).value
+    return choose_time_step(None, plan.pair_cases, plan.law, velocity, *bounds).value
 
 
 @pytest.mark.parametrize("velocity", [0.05, 0.4, 3.0])

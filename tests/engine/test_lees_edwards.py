@@ -57,7 +57,7 @@ def test_result_does_not_depend_on_the_position_of_the_boundary(taichi_f64):
     (low, simulation), (high, _) = run_to_end(sheared_gas()), run_to_end(sheared_gas(height))
     assert simulation.engine.timing.rebuild_count > 20
     assert low.totals["friction_dissipation"] > 1e-5
-    periodic_box = simulation.scene.domain.periodic_box().at(low.time)
+    periodic_box = simulation.plan.periodic_box.at(low.time)
     expected = low.particles["position"] + [RATE * height * low.time, height, 0.0]
     images = periodic_box.nearest_images(high.particles["position"], expected)
     np.testing.assert_allclose(images, expected, atol=1e-8)
@@ -80,7 +80,7 @@ def test_neighbor_list_holds_the_candidate_pairs_of_moving_images(taichi_f64, si
     arrays = copy_to_host(simulation.engine.state, ("id", "position", "radius"))
     order = np.argsort(arrays["id"])
     position, radius = arrays["position"][order], arrays["radius"][order]
-    periodic_box = simulation.scene.domain.periodic_box().at(simulation.engine.time)
+    periodic_box = simulation.plan.periodic_box.at(simulation.engine.time)
     assert abs(periodic_box.offset) > 0.005
     first, second = np.triu_indices(len(radius), 1)
     separation = position[first] - periodic_box.nearest_images(position[second], position[first])

@@ -18,7 +18,7 @@ from granflow.engine.threads import workers
 from granflow.geometry.mesh.contact import reference_contact, triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 

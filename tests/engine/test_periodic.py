@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from granflow.errors import SceneError
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 
 GRAVITY = 9.81
 
@@ -114,7 +114,7 @@ def test_particle_that_falls_out_of_the_box_reenters_at_the_top(taichi_f64):
     assert last.totals["kinetic_energy"] == pytest.approx(mass * GRAVITY * drop, rel=1e-3)
     assert abs(last.totals["energy_error"]) < 1e-4
     assert last.particles["position"][0, 2] == pytest.approx(0.09 - drop + 6 * size, abs=1e-4)
-    assert simulation._observers[0].results_by_kind()["flow_meters"]["middle"]["flow_count"] == 6
+    assert simulation.observers.readings()["flow_meters"]["middle"]["flow_count"] == 6
 
 
 def test_floor_that_ends_at_the_boundary_has_no_seam(taichi_f64):

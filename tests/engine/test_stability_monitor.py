@@ -8,7 +8,7 @@ from subprocess_runner import in_subprocess
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.stability_monitor import StabilityMonitor
 from granflow.observers.interval import on_interval
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 MASS = 2500.0 * np.pi / 6 * 0.01**3

@@ -9,7 +9,7 @@ from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
 from granflow.errors import RunError, SceneError
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.plan.travel import STEP_SHARE
 from granflow.simulation import Simulation
 

@@ -13,7 +13,7 @@ from granflow.contact import theory
 from granflow.engine.threads import workers
 from granflow.errors import RunError, SceneError
 from granflow.io.checkpoint import read_checkpoint
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY = 0.005, 9.81

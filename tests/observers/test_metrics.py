@@ -12,6 +12,7 @@ from granflow.observers.metrics.meter import MetricMeter
 from granflow.observers.metrics.mixing import lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
 from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
+from granflow.plan.build import plan_for
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
@@ -151,12 +152,12 @@ def test_scene_metrics_are_reported_by_name():
         fixed=np.zeros(5000, np.uint8), coordination_number=np.full(5000, 3),
     )  # fmt: skip
     snapshot = snapshot_of(particles=particles, contacts=contacts_of(10))
-    for metric, meter in metric_meters(scene).items():
+    for metric, meter in metric_meters(plan_for(scene)).items():
         meter.update(snapshot)
         assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[metric].kind]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
         assert meter.wants == {"contacts" if metric == "contacts" else "particles"}
-    meters = metric_meters(scene)
+    meters = metric_meters(plan_for(scene))
     for meter in meters.values():
         meter.update(snapshot)
     values = [meters[name].readings()["lacey_index"] for name in selections]
@@ -178,7 +179,7 @@ def test_upward_direction_is_opposite_to_gravity():
     particles = particles_of(
         count, position=turned, radius=radius[selected], fixed=np.zeros(count), coordination_number=np.full(count, 4)
     )
-    meter = metric_meters(scene)["heap"]
+    meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
 

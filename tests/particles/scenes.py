@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene
 
 BOX = {"box": {"min": [0, 0, 0], "max": [0.1, 0.1, 0.2]}}
 TUBE = {"cylinder": {"from": [0, 0, 0.1], "to": [0.06, 0, 0.18], "radius": 0.05}}
@@ -13,7 +13,7 @@ UNIFORM = {"distribution": "uniform", "min": 0.003, "max": 0.005}
 def scene_with(groups, seed=1):
     """A scene with the given groups: mappings with insert, count, diameter and other keys."""
     material = {"young_modulus": 1e9, "poisson_ratio": 0.3, "density": 2500}
-    return Scene.model_validate(
+    return Scene.from_dict(
         {
             "title": "Trial",
             "seed": seed,

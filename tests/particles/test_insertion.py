@@ -9,7 +9,6 @@ from particles.scenes import UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
 from granflow.particles.insertion import Inserter, inserters
-from granflow.particles.resolve import resolve_scene
 
 REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
 
@@ -154,7 +153,7 @@ def inserter_with(insertion, **group):
     """The inserter of a resolved scene, with glass particles of 2500 kg/m3."""
     given = {"diameter": UNIFORM, "insert": insertion} | group
     still = {"diameter": 0.004, "insert": {"kind": "positions", "positions": [[0, 0, 0]]}}
-    return Inserter(resolve_scene(scene_with({"still": still, "stream": given})), "stream")
+    return Inserter(scene_with({"still": still, "stream": given}), "stream")
 
 
 def test_mass_flow_is_exact_within_one_particle():

@@ -7,10 +7,10 @@ import pytest
 from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
+from granflow.plan.build import plan_for
 from granflow.plan.explain import WIDTH, duration, explain, size
 from granflow.plan.features import Features
 from granflow.plan.memory_estimate import estimate_memory
-from granflow.plan.plan import plan_for
 
 
 @pytest.fixture(scope="module")

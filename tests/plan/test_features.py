@@ -5,8 +5,8 @@ from dataclasses import fields
 import pytest
 from plan.scenes import TEXT, line_of, scene_of
 
+from granflow.plan.build import plan_for
 from granflow.plan.features import Features
-from granflow.plan.plan import plan_for
 
 FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}\n"
 MOVING_FLOOR = FLOOR.replace("}\n", ", motion: {kind: translation, velocity: [0, 0, 1 mm/s]}}\n")

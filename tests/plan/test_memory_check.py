@@ -12,7 +12,7 @@ from granflow.cli.main import main
 from granflow.errors import SceneError
 from granflow.load import load
 from granflow.plan import memory_check
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 GIB = 2**30

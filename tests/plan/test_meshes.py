@@ -11,8 +11,8 @@ from granflow.errors import SceneError
 from granflow.geometry.mesh.file import read_triangles
 from granflow.geometry.mesh.mesh import mesh_of
 from granflow.load import load
+from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
-from granflow.plan.plan import plan_for
 
 SCENE = """\
 title: A ball on a mesh

@@ -6,7 +6,7 @@ import pytest
 from plan.scenes import TEXT, scene_of
 
 from granflow.errors import SceneError
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 
 STEP = 1e-5
 """Time step of the scenes [s]; ten steps are a period of 1e-4 s, a frequency of 10 kHz or 62 832 rad/s."""

@@ -5,7 +5,7 @@ import pytest
 from scene_builders import build_scene, particle_group
 
 from granflow.errors import SceneError
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.plan.resolution import coordinate_limit, spacing_at
 
 RADIUS = 0.005

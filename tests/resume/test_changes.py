@@ -9,7 +9,7 @@ from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.runs.initial_from_run import particles_from_run
 from granflow.runs.resume import accepted_change
 from granflow.scene.differences import differences, forbidden
@@ -134,9 +134,9 @@ def test_changed_domain_is_rejected_without_allow_changes(checkpoint):
         f"{checkpoint.path}: {difference}, which cannot change when a run continues. "
         "Run the scene from the start, or continue despite the change with --allow-changes."
     )
-    assert [each.key for each in accepted_change(checkpoint, plan_for(other), allow_changes=True).differences] == [
-        "domain.max"
-    ]
+    assert [
+        each.key for each in accepted_change(checkpoint, other, plan_for(other), allow_changes=True).differences
+    ] == ["domain.max"]
 
 
 def test_changed_time_step_is_rejected_despite_allow_changes(checkpoint):

@@ -21,7 +21,7 @@ from granflow.io.checkpoint import (
     write_checkpoint,
 )
 from granflow.io.lock import locked
-from granflow.runs.resume import CheckpointWriter
+from granflow.runs.checkpoint_writer import CheckpointWriter
 from granflow.scene.schema.output import Checkpoints
 
 STATE = {
@@ -132,14 +132,14 @@ def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypa
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.time", lambda: pytest.fail("the system time must not be used"))
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])})
-    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2))
+    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), scene.text())
     writer.start(0.0)
     assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)
-    writer.write(scene, 0.5, 1, STATE)
+    writer.write(0.5, 1, STATE)
     assert not writer.due(0.6)
     now[0] += 10.0
     assert writer.due(0.6)
-    writer.write(scene, 0.6, 2, STATE)
+    writer.write(0.6, 2, STATE)
     assert not writer.due(0.9) and writer.next_time() == 1.0
     assert (writer.last_time, len(list(tmp_path.iterdir()))) == (0.6, 2)
 

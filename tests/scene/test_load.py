@@ -7,11 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from granflow.errors import SceneError
-from granflow.load import load
+from granflow.load import Scene, load
 from granflow.scene.jsonschema import json_schema
 from granflow.scene.schema.motions import VibrationSpec
 from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.walls import Plane
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"

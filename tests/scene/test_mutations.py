@@ -7,8 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from granflow.errors import SceneError
-from granflow.load import load
-from granflow.scene.schema.scene import Scene
+from granflow.load import Scene, load
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
 TEXT = GOOD.read_text(encoding="utf-8")

@@ -11,8 +11,8 @@ from granflow.load import load, scene_of
 from granflow.particles.generate import initial_particles
 from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
+from granflow.plan.build import plan_for
 from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.plan.plan import plan_for
 from granflow.scene.schema.motions import VibrationSpec
 from granflow.scene.schema.walls import MeshWall
 

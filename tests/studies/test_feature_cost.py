@@ -8,8 +8,8 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load
+from granflow.plan.build import plan_for
 from granflow.plan.memory_estimate import estimate_memory
-from granflow.plan.plan import plan_for
 from granflow.studies.feature_cost.variants import variants_of
 
 TEXT = """\

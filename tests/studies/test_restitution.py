@@ -10,7 +10,7 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load
-from granflow.plan.plan import plan_for
+from granflow.plan.build import plan_for
 from granflow.studies.restitution import measure, name_of, pairings, warnings
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -35,6 +35,11 @@ def two_materials(fraction=0.02, **parts):
         "numerics": {"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
     }  # fmt: skip
     return build_scene(groups, **(defaults | parts))
+
+
+def warnings_of(scene):
+    """The warnings on restitution coefficients for the plan of a scene."""
+    return warnings(scene, plan_for(scene))
 
 
 def coarse_hertz(step="auto"):
@@ -113,7 +118,7 @@ def given_warnings(scene):
 
 def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(taichi_f64):
     scene = coarse_hertz()
-    sentences = {each.split(":")[0]: each for each in warnings(scene, plan_for(scene))}
+    sentences = {each.split(":")[0]: each for each in warnings_of(scene)}
     assert list(sentences) == ["steel-steel wall"]  # one particle: no collision between particles
     numbers = re.search(
         r"the given restitution is (\S+) at (\S+) m/s, but the time step of (\S+) s results in (\S+)\. "
@@ -126,7 +131,7 @@ def test_warning_states_pair_velocity_restitution_and_a_sufficient_time_step(tai
     rows, _ = measure(scene)
     fastest = next(row for row in rows if row.pair == "steel-steel wall" and row.velocity == 2.0)
     assert fastest.min_reached * 0.99 <= reached <= fastest.max_reached * 1.01
-    assert given_warnings(coarse_hertz(remedy)) == []
+    assert warnings_of(coarse_hertz(remedy)) == []
 
 
 def test_each_material_pair_has_at_most_one_warning():
@@ -135,13 +140,13 @@ def test_each_material_pair_has_at_most_one_warning():
         name: scene.particles["beads"].model_copy(update={"count": 2}) for name in ("one", "two", "three")
     }})  # fmt: skip
     fixed = scene.particles["beads"].model_copy(update={"count": 2, "fixed": True, "velocity": (0.0, 0.0, 0.0)})
-    assert len(given_warnings(three_groups)) == 1
-    assert given_warnings(scene.model_copy(update={"particles": {"beads": fixed}})) == []
+    assert len(warnings_of(three_groups)) == 1
+    assert warnings_of(scene.model_copy(update={"particles": {"beads": fixed}})) == []
 
 
 def test_shipped_scenes_have_no_warnings():
     for path in [*SCENES.glob("*.yaml"), *SCENES.glob("dosta2024/*.yaml")]:
-        assert given_warnings(load(path)) == [], path
+        assert warnings_of(load(path)) == [], path
 
 
 def test_warnings_of_the_plan_are_not_repeated():

@@ -86,7 +86,7 @@ def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) ->
     from granflow.engine.engine import Engine
     from granflow.load import load
     from granflow.particles.particle_data import ParticleData
-    from granflow.plan.plan import plan_for
+    from granflow.plan.build import plan_for
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "case.yaml"

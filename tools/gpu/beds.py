@@ -33,7 +33,7 @@ def bed(path: str, count: int) -> Case:
 def plan_of(case: Case, precision: str, on_gpu: bool, law: str = LAW, skin: str = "auto") -> Any:
     """Plan of a bed between four walls and a floor."""
     from granflow.load import load
-    from granflow.plan.plan import plan_for
+    from granflow.plan.build import plan_for
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "bed.yaml"

@@ -100,7 +100,7 @@ def _particle_group(position: np.ndarray, diameter: Any, velocity: np.ndarray) -
 
 
 def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
-    from granflow.scene.schema.scene import Scene
+    from granflow.load import Scene
 
     defaults = {
         "title": "GPU check",
@@ -111,7 +111,7 @@ def _scene(groups: dict[str, Any], walls: dict[str, Any], **parts: Any) -> Any:
         "numerics": {"chunk_size": 1},
         "output": {"interval": 1.0, "energy_budget": True},
     }
-    return Scene.model_validate(defaults | {"walls": walls, "particles": groups} | parts)
+    return Scene.from_dict(defaults | {"walls": walls, "particles": groups} | parts)
 
 
 def _vibrated_box(precision: str) -> Any:

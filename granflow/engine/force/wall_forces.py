@@ -48,4 +48,4 @@ def wall_impulses(state: State) -> dict[str, np.ndarray]:
     if state.control.impulses is None:
         return {}
     sums = state.control.impulses.to_numpy().sum(axis=0)
-    return dict(zip(state.plan.scene.measured_walls, sums, strict=True))
+    return dict(zip(state.plan.measured_walls, sums, strict=True))

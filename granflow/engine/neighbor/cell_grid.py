@@ -120,7 +120,7 @@ def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side:
 def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, limit: int) -> CellGrid:
     """The grid over a box clipped to the domain, unless the domain expands; the whole domain along periodic axes."""
     plan, periodic_axes = state.plan, list(state.plan.periodic_box.axes)
-    if plan.scene.domain.on_exit != "expand":
+    if plan.domain.on_exit != "expand":
         low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
     low, high = low.copy(), np.maximum(high, low)
     low[periodic_axes], high[periodic_axes] = plan.domain_low[periodic_axes], plan.domain_high[periodic_axes]

@@ -39,7 +39,7 @@ def build_remains(state: State) -> Any:
     """
     in_outlet = _build_in_outlet(state)
     position, real, periodic_box = state.particles.position, state.backend.position_real, state.plan.periodic_box
-    unchecked_axes = range(3) if state.plan.scene.domain.on_exit == "expand" else periodic_box.axes
+    unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else periodic_box.axes
     lows, highs = ([float(value) for value in corner] for corner in (state.plan.domain_low, state.plan.domain_high))
 
     @ti.func

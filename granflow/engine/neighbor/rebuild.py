@@ -67,7 +67,7 @@ class NeighborListRebuild:
         if self._wrap is not None:
             self._wrap(state.count, pose, state.clock.time_step)
         self._bounds(state.count)
-        if state.plan.scene.domain.on_exit == "expand":
+        if state.plan.domain.on_exit == "expand":
             check_coordinates(state)
         grids = update_cell_grids(state)
         self._sort(state.count, grids[0].cell_count)

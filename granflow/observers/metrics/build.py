@@ -12,9 +12,8 @@ from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
 from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
 from granflow.observers.particle_selection import mobile_particles, selected
 from granflow.particles.regions import frame_along
-from granflow.plan.size_classes import diameter_range
+from granflow.plan.plan import Plan
 from granflow.scene.schema.analysis import ContentMetric, CoordinationMetric, FabricMetric, LaceyMetric, ReposeMetric
-from granflow.scene.schema.scene import Scene
 from granflow.scene.schema.shapes import Box
 from granflow.snapshot import Snapshot
 
@@ -27,19 +26,19 @@ COLUMN_WIDTH = 2.0
 NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
 
 
-def metric_meters(scene: Scene) -> dict[str, MetricMeter]:
-    """Return a meter for each metric of the scene, by name in `output.metrics`, in the order of the scene."""
-    return {name: _metric_meter(scene, spec) for name, spec in scene.output.metrics.items()}
+def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
+    """Return a meter for each metric of the plan, by its name in `output.metrics`."""
+    return {name: _metric_meter(plan, spec) for name, spec in plan.output.metrics.items()}
 
 
 def _metric_meter(
-    scene: Scene, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
+    plan: Plan, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
 ) -> MetricMeter:
-    """Return the meter of one metric of the scene; the class of `spec` determines the kind."""
+    """Return the meter of one metric; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
-        return _lacey_metric_meter(scene, spec)
+        return _lacey_metric_meter(plan, spec)
     if isinstance(spec, ReposeMetric):
-        return _repose_meter(scene, spec)
+        return _repose_meter(plan, spec)
     if isinstance(spec, FabricMetric):
         return MetricMeter(lambda snapshot: _fabric(snapshot, spec.region), NEEDS_CONTACTS)
     if isinstance(spec, ContentMetric):
@@ -47,11 +46,12 @@ def _metric_meter(
     return MetricMeter(lambda snapshot: _coordination(snapshot, spec.region), NEEDS_PARTICLES)
 
 
-def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
+def _lacey_metric_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
     """Return a meter of the Lacey index. Kind A: given groups or materials, or diameters below `smaller_than` [m]."""
-    grid: CoarseGrid = grid_for(scene.domain, spec)
-    groups = [list(scene.particles).index(name) for name in spec.groups or ()]
-    materials = [list(scene.materials).index(name) for name in spec.materials or ()]
+    grid: CoarseGrid = grid_for(plan.domain, spec)
+    names = [group.name for group in plan.groups]
+    groups = [names.index(name) for name in spec.groups or ()]
+    materials = [list(plan.solids).index(name) for name in spec.materials or ()]
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
         particles = mobile_particles(snapshot.particles)
@@ -63,14 +63,14 @@ def _lacey_metric_meter(scene: Scene, spec: LaceyMetric) -> MetricMeter:
     return MetricMeter(measure, NEEDS_PARTICLES)
 
 
-def _repose_meter(scene: Scene, spec: ReposeMetric) -> MetricMeter:
+def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
     """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is inclined.
 
     Particles with fewer than MIN_HEAP_CONTACTS contacts are not part of the heap.
     """
-    upwards = -np.array(scene.gravity) / np.linalg.norm(scene.gravity)
+    upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
     frame = frame_along(upwards)
-    edge = COLUMN_WIDTH * max(diameter_range(group)[1] for group in scene.particles.values())
+    edge = COLUMN_WIDTH * 2.0 * plan.radius_max
     axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
 
     def measure(snapshot: Snapshot) -> dict[str, float]:

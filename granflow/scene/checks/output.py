@@ -16,7 +16,7 @@ from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND, GridSpec, 
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.fields import Fault, whole
 from granflow.scene.schema.insertion import TimedInsertion
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.shapes import Box
 from granflow.scene.schema.walls import Plane
 
@@ -71,7 +71,7 @@ def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fau
             yield whole(path, f"must extend from {reach} in {axis}, where the domain is periodic")
 
 
-def _expected(scene: Scene) -> Iterator[tuple[KeyPath, str, str]]:
+def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
     """Key path, quantity and part of each expectation of a quantity with a part, such as mass_flow.outlet."""
     for index, expectation in enumerate(scene.expect):
         quantity, dot, part = expectation.quantity.partition(".")

@@ -7,7 +7,7 @@ from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.schema.fields import Fault, missing, whole
 from granflow.scene.schema.materials import RestitutionFit
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest, suggestion_or_list
 
 ASSUMED_COUNT = 2
@@ -55,7 +55,7 @@ def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
             yield missing(("pairs", key), f"{why}; give at least its restitution and friction")
 
 
-def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str], str]:
+def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozenset[str], str]:
     """Material pairs whose particles or walls can come into contact, with the reason.
 
     Fixed particles touch neither each other nor walls; a material with a single particle does not touch itself.
@@ -75,7 +75,7 @@ def _possible_contacts(scene: Scene, known: Iterable[str]) -> dict[frozenset[str
     return found
 
 
-def _counts(scene: Scene, materials: set[str], fixed: bool) -> dict[str, int]:
+def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:
     """Number of fixed particles, or of mobile ones, for each of these materials.
 
     A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles.

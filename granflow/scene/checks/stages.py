@@ -6,7 +6,7 @@ from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.schema.fields import Fault, missing
 from granflow.scene.schema.motions import FreeWallSpec, MotionSpec, ServoSpec, VibrationSpec
-from granflow.scene.schema.scene import Scene
+from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.walls import Plane, Wall
 
 
@@ -30,12 +30,12 @@ def names(parts: PartialScene) -> Iterator[Fault]:
                 yield Fault(location, "the scene has no stages; give times instead of stages")
 
 
-def _walls(scene: Scene) -> Iterator[tuple[KeyPath, Wall]]:
+def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
     """Each wall with its key path."""
     yield from ((("walls", name), wall) for name, wall in scene.walls.items())
 
 
-def _motions(scene: Scene) -> Iterator[tuple[KeyPath, MotionSpec]]:
+def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
     """Each motion of a wall with its key path."""
     for path, wall in _walls(scene):
         yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))

@@ -1,18 +1,14 @@
 """Schema of the block `output`: selection and intervals of the results."""
 
-import math
 from collections.abc import Iterator
 from typing import Literal
 
 from pydantic import Field
 
+from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.analysis import AnyMetric, FieldGrid
 from granflow.scene.schema.fields import Fault, Flag, FlagOrNames, Model, Name, redundant
-from granflow.scene.schema.shapes import dot
-
-RIGHT_ANGLE_COSINE = 1e-6
-"""Largest absolute cosine of an angle that is accepted as 90 deg."""
 
 
 class FlowMeterSpec(Model):
@@ -37,11 +33,9 @@ class FlowMeterSpec(Model):
             return
         if self.radius is not None:
             yield redundant("sides", "radius")
-        a, b = self.sides
-        pairs = (a, b), (a, self.normal), (b, self.normal)
-        if not any(a) or not any(b):
+        if not all(any(side) for side in self.sides):
             yield Fault(("sides",), "a side must not be the zero vector")
-        elif max(abs(dot(u, v)) / math.hypot(*u) / math.hypot(*v) for u, v in pairs) > RIGHT_ANGLE_COSINE:
+        elif not are_perpendicular(*self.sides, self.normal):
             yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
 
 

@@ -26,6 +26,9 @@ ChunkSize = Annotated[
     Number(noun="a chunk size", at_least=1, at_most=LARGEST_CHUNK, whole=True, words=("auto",)),
 ]
 
+Precision = Literal["f64", "f32", "mixed"]
+"""Floating-point precision of a run."""
+
 
 class RunSettings(Model):
     """Duration, time step and precision of a run.
@@ -41,7 +44,7 @@ class RunSettings(Model):
     velocity_max: q.Speed | None = Field(
         None, description="largest expected impact velocity [m/s]; default: estimate from drop heights and speeds"
     )
-    precision: Literal["f64", "f32", "mixed"] = Field(
+    precision: Precision = Field(
         "f64", description="floating-point precision: f64, f32, or mixed (positions in f64, all else in f32)"
     )
 

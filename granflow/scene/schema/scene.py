@@ -27,11 +27,10 @@ from granflow.scene.writer import to_yaml
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 
 
-class Scene(Model):
-    """A complete scene, the input of a run, in SI units.
+class SceneInput(Model):
+    """A complete scene as written, in SI units: validated, but not resolved; `granflow.load.Scene` is.
 
-    Immutable. `load` reads it from a file; `text` writes it with all defaults. Methods `locate` and `where` give source
-    positions for messages.
+    Immutable. `text` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
     """
 
     title: Text = Field(description="title of the scene, one line")
@@ -71,7 +70,7 @@ class Scene(Model):
 
     def __eq__(self, other: object) -> bool:
         """Equality of the values; the source of the scenes does not matter."""
-        return isinstance(other, Scene) and self.__dict__ == other.__dict__
+        return isinstance(other, SceneInput) and self.__dict__ == other.__dict__
 
     __hash__ = None  # type: ignore[assignment]
 

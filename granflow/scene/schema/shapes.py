@@ -7,10 +7,9 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.fields import Fault, FileName, Model, require
-
-_PERPENDICULAR = 1e-9  # largest cosine of the angle between two sides that are accepted as perpendicular
 
 
 def _is_below_folder(name: str) -> bool:
@@ -73,7 +72,7 @@ class Rectangular(Model):
         for i, length in enumerate(lengths):
             if length == 0:
                 yield Fault(("sides", i), "a side must not be the zero vector")
-        if all(lengths) and abs(dot(a, b)) > _PERPENDICULAR * lengths[0] * lengths[1]:
+        if all(lengths) and not are_perpendicular(a, b):
             angle = math.degrees(math.acos(dot(a, b) / (lengths[0] * lengths[1])))
             yield Fault(("sides",), f"the two sides must be perpendicular, and their angle is {angle:.4g} deg")
 

@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model, Names, Text, choose_by_key, redundant, whole
+from granflow.scene.schema.fields import (
+    Fault,
+    ListOf,
+    Model,
+    Names,
+    Text,
+    choose_by_key,
+    redundant,
+    whole,
+)
 from granflow.scene.schema.motions import MotionSpec
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular

@@ -79,7 +79,7 @@ def feature_costs(
     start = start_of(baseline)
     if not len(start.particles):
         raise GranflowError(f"At {end:.4g} s the scene contains no particles to time: give another time with --until.")
-    wanted = [each for each in variants_of(baseline.scene, baseline.plan) if only is None or each.name in only]
+    wanted = [each for each in variants_of(scene, baseline.plan) if only is None or each.name in only]
     baseline.free()
     simulations = []
     for variant in wanted:
@@ -141,7 +141,7 @@ def _feature_cost(
         plan=plan,
         nanoseconds=float(np.median(times_of_variant)),
         ratio=tuple(np.percentile(times_of_variant / base, (25, 50, 75)).tolist()),
-        bytes_per_particle=estimate_memory(plan, simulation.scene.run.precision).total / plan.particle_capacity,
+        bytes_per_particle=estimate_memory(plan, plan.precision).total / plan.particle_capacity,
         compile_seconds=simulation.engine.timing.compile,
         contacts_per_particle=totals["contact_count"] / max(totals["particle_count"], 1.0),
     )

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow import Scene
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.scene.schema.scene import Scene
 from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
 from granflow.studies.render.camera import Camera, HalfSpace, View, aspect_of, camera_for, view_of
 from granflow.studies.render.colors import Scale, scale_for, values_of

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from granflow import Scene
 from granflow import load_scene as load
 from granflow.errors import GranflowError
 from granflow.io.lock import locked
 from granflow.io.regular_files import read_regular_text, resolved
-from granflow.scene.schema.scene import Scene
 from granflow.studies.report.log import LogEntry, RunSession, read_log, sessions
 from granflow.studies.report.series import TimeSeriesTable, read_series
 

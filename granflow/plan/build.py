@@ -1,0 +1,217 @@
+"""Scene -> Plan: computes the plan of a scene and refuses scenes that cannot be simulated."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from granflow.contact.model import NormalLaw
+from granflow.errors import SceneError
+from granflow.geometry.mesh.mesh import Mesh
+from granflow.load import Scene
+from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
+from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
+from granflow.plan.features import features_of, reasons_for
+from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
+from granflow.plan.meshes import notes_on
+from granflow.plan.motion_period import refuse_fast_motion
+from granflow.plan.outlets import planned_outlets
+from granflow.plan.pair_cases import build_law, pair_cases_of, pair_materials, pair_table, solid
+from granflow.plan.plan import Plan
+from granflow.plan.resolution import refuse_coarse
+from granflow.plan.scene_parts import planned_groups, planned_stages
+from granflow.plan.settings import settings_of
+from granflow.plan.size_classes import diameter_range, size_classes
+from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
+from granflow.plan.travel import refuse_fast_images, refuse_fast_rotation, refuse_fast_start, refuse_fast_walls
+from granflow.plan.wall_control import controlled_motions_of
+from granflow.plan.walls import planned_walls, wall_speeds
+
+SMALL_SCENE_PARTICLES = 64
+"""Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
+
+CHUNK_COUNT = 32
+"""Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
+
+CHUNK_BOUNDS = (512, 2048)
+"""Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the cache."""
+
+SKIN_STEPS = 60
+"""Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
+
+LARGEST_SKIN = 20.0
+"""Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
+
+SKIN_SHARES = (0.05, 0.3)
+"""Range of the automatic skin over the smallest radius."""
+
+
+def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
+    """Compute the plan of a scene.
+
+    `on_gpu`: each particle is a chunk, because a thread processes one particle.
+
+    Raises SceneError if a contact model is not valid for a pair, if the given time step is not stable, if velocities
+    are too high for the time step, if the precision is too coarse for the domain, or if a periodic box is too narrow.
+    """
+    materials = _used_materials(scene)
+    walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
+    impact_velocity = max_impact_velocity(scene)
+    velocity = impact_velocity.value
+    law = build_law(scene, velocity)
+    features = features_of(scene, law.rate_dependent)
+    pair_constants = pair_table(scene, law, materials)
+    radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
+    radius_min, radius_max = min(radii), max(radii)
+    refuse_coarse(scene, radius_min)
+    pair_cases = tuple(pair_cases_of(scene))
+    step = _time_step(scene, pair_cases, law, velocity, 2.0 * radius_max)
+    refuse_fast_motion(scene, step.value)
+    speeds = wall_speeds(scene, walls)
+    speed = max(speeds.values(), default=0.0)
+    skin = _skin(scene, radius_min, velocity, step.value)
+    refuse_narrow_box(scene, radius_max, 2.0 * skin if features.lees_edwards else skin)
+    refuse_cut_walls(scene, walls, radius_max + skin)
+    refuse_infinite_rotations(scene, walls)
+    particle_count = sum(group.count for group in scene.particles.values())
+    plan = Plan(
+        **_as_given(scene),
+        features=features,
+        reasons=reasons_for(scene, features),
+        materials=materials,
+        law=law,
+        pair_materials=pair_materials(scene, materials),
+        pair_constants=pair_constants,
+        pair_cases=pair_cases,
+        particle_capacity=particle_count,
+        radius_min=radius_min,
+        radius_max=radius_max,
+        chunk_size=_chunk_size(scene, particle_count) if law.branch_free and not on_gpu else 1,
+        skin=skin,
+        step=step,
+        impact_velocity=impact_velocity,
+        walls=walls,
+        mesh_notes=tuple(
+            note
+            for wall in walls
+            if isinstance(wall.shape, Mesh)
+            for note in notes_on(scene, wall.name, wall.shape, 2.0 * radius_min)
+        ),
+        wall_speed=speed,
+        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
+        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, image_speed(scene)))
+        if features.adaptive_step
+        else None,
+    )
+    _refuse_fast(scene, plan, speeds)
+    return plan
+
+
+def _as_given(scene: Scene) -> dict[str, Any]:
+    """The fields of the plan that the scene gives directly."""
+    return {
+        "title": scene.title,
+        "path": str(scene.path),
+        "remarks": scene.remarks,
+        "settings": settings_of(scene),
+        "sources": _sources(scene),
+        "precision": scene.run.precision,
+        "domain": scene.domain,
+        "periodic_box": scene.domain.periodic_box(),
+        "output": scene.output,
+        "flow_meter_parts": {name: scene.flow_meter_parts(name) for name in scene.output.flow_meters},
+        "expectations": scene.expect,
+        "gravity": scene.gravity,
+        "max_overlap": scene.numerics.max_overlap,
+        "stages": planned_stages(scene),
+        "groups": planned_groups(scene),
+        "size_classes": size_classes(scene),
+        "solids": {name: solid(scene, name) for name in scene.materials},
+        "measured_walls": scene.measured_walls,
+        "outlets": planned_outlets(scene),
+    }
+
+
+def _sources(scene: Scene) -> dict[str, str]:
+    """Positions in the scene file for messages: of the key that sets the number of steps, a given skin, `on_exit`."""
+    given_step = not isinstance(scene.run.time_step, str)
+    steps = ("run", "time_step") if given_step else ("stages",) if scene.stages else ("run", "duration")
+    sources = {"steps": scene.locate(*steps), "domain.on_exit": scene.where("domain", "on_exit")}
+    return sources | ({} if scene.numerics.skin == "auto" else {"numerics.skin": scene.where("numerics", "skin")})
+
+
+def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
+    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start."""
+    refuse_fast_start(scene, initial_speeds(scene), plan.time_step, plan.radius_min)
+    refuse_fast_rotation(scene, initial_rotation_rates(scene), plan.time_step)
+    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
+    refuse_fast_walls(scene, wall_speeds, plan.longest_time_step, limit)
+    refuse_fast_images(scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
+
+
+def _used_materials(scene: Scene) -> tuple[str, ...]:
+    """Names of the materials of particles, then those of walls, each once."""
+    parts = [*scene.particles.values(), *scene.walls.values()]
+    return tuple(dict.fromkeys(part.material for part in parts))
+
+
+def _time_step(
+    scene: Scene, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, diameter: float
+) -> TimeStep:
+    """Time step of the scene with its warnings. Raises SceneError if the given one is not stable.
+
+    `velocity` [m/s]: maximum expected impact velocity; `diameter` [m]: of the largest particle.
+    """
+    given = None if isinstance(scene.run.time_step, str) else float(scene.run.time_step)
+    numerics = scene.numerics
+    try:
+        step = choose_time_step(
+            given, pair_cases, law, velocity,
+            numerics.time_step_fraction, numerics.rayleigh_fraction,
+        )  # fmt: skip
+    except ValueError as error:
+        raise SceneError(f"{scene.locate('run', 'time_step')}: run.time_step {error}") from None
+    precision = scene.run.precision
+    farthest = float(np.abs([scene.domain.min, scene.domain.max]).max())
+    reach = farthest if precision == "f32" else diameter
+    return replace(step, warnings=step.warnings + resolution_warning(pair_cases, velocity, precision, reach))
+
+
+def _adaptive_time_step(
+    scene: Scene, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, speed: float
+) -> AdaptiveTimeStep:
+    """Table of the adaptive time step; `velocity`: maximum impact velocity, `speed`: of walls and images [m/s]."""
+    bounds = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
+    return adaptive_time_step_for(pair_cases, law, velocity, speed, *bounds)
+
+
+def _chunk_size(scene: Scene, particle_count: int) -> int:
+    """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by chunk."""
+    if scene.numerics.chunk_size != "auto":
+        return int(scene.numerics.chunk_size)
+    if particle_count <= SMALL_SCENE_PARTICLES:
+        return 1
+    min_size, max_size = CHUNK_BOUNDS
+    return int(np.clip(2 ** int(np.ceil(np.log2(particle_count / CHUNK_COUNT))), min_size, max_size))
+
+
+def _given_skin(scene: Scene, skin: float, radius_min: float) -> float:
+    """The skin [m] of the scene. Raises SceneError if it exceeds LARGEST_SKIN times the smallest radius [m]."""
+    if skin > LARGEST_SKIN * radius_min:
+        raise SceneError(
+            f"{scene.locate('numerics', 'skin')}: numerics.skin is {skin:.3g} m, more than {LARGEST_SKIN:g} times the "
+            f"smallest radius {radius_min:.3g} m: a neighbor list would have thousands of entries. Set it to auto."
+        )
+    return skin
+
+
+def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> float:
+    """Skin [m]: given, or twice the distance of SKIN_STEPS steps at the maximum velocity, limited by SKIN_SHARES.
+
+    `radius_min` [m], `velocity` [m/s], `step` [s]. A thicker skin means fewer rebuilds, but more candidate pairs.
+    """
+    if scene.numerics.skin != "auto":
+        return _given_skin(scene, float(scene.numerics.skin), radius_min)
+    min_size, max_size = (neighbors * radius_min for neighbors in SKIN_SHARES)
+    return float(np.clip(2.0 * SKIN_STEPS * velocity * step, min_size, max_size))

@@ -1,0 +1,155 @@
+"""Properties of the material pairs and possible contacts of a scene."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from granflow.contact.cohesion.cohesion import COHESIONS
+from granflow.contact.material import (
+    PairMaterial,
+    Solid,
+    VelocityRestitution,
+    limit_velocity,
+    modulus_eff,
+    shear_modulus_eff,
+    yield_strength,
+)
+from granflow.contact.model import ModelRequest, NormalLaw
+from granflow.errors import SceneError
+from granflow.load import Scene
+from granflow.plan.features import cohesion_of
+from granflow.plan.size_classes import diameter_range
+from granflow.plan.time_step import PairCase
+from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.particles import Group
+
+
+def build_law(scene: Scene, velocity: float) -> NormalLaw:
+    """The normal contact model of the scene, extended by its cohesion model if any pair has cohesion.
+
+    `velocity` [m/s]: maximum expected impact velocity, for which the model may compute its constants.
+    """
+    normal = scene.contact.normal
+    pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
+    law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
+    cohesion = cohesion_of(scene)
+    return law if cohesion == "none" else COHESIONS[cohesion](law)
+
+
+def solid(scene: Scene, material: str) -> Solid:
+    """Constants of one material of the scene.
+
+    Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio. Raises KeyError for an unknown material.
+    """
+    given = scene.materials[material]
+    return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
+
+
+def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
+    """Mixed constants of two materials, symmetric under their exchange.
+
+    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
+    Raises KeyError if the scene has no such pair.
+    """
+    pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
+    given = pair.restitution
+    restitution: float | VelocityRestitution | None
+    if isinstance(given, RestitutionFit):
+        restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
+    else:
+        restitution = given
+    rolling = pair.rolling_friction or 0.0
+    cohesion = pair.cohesion_energy_density or 0.0
+    return PairMaterial(
+        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b), cohesion
+    )
+
+
+def pair_materials(scene: Scene, materials: tuple[str, ...]) -> dict[tuple[str, str], PairMaterial]:
+    """Mixed constants of each two of the materials that can come into contact, by their names in either order."""
+    names = [(first, second) for first in materials for second in materials]
+    return {both: pair_material(scene, *both) for both in names if scene.pair_key(*both) in scene.pairs}
+
+
+def pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
+    """Constants of each pair of materials (materials^2, constants + 2); NaN for pairs without contacts.
+
+    Row i * materials + j. The last two columns are friction and rolling friction. Raises SceneError if the contact
+    model cannot reach the restitution of a pair.
+    """
+    count = len(materials)
+    table = np.full((count * count, len(law.constant_names) + 2), np.nan)
+    for i, first in enumerate(materials):
+        for j, second in enumerate(materials):
+            if scene.pair_key(first, second) in scene.pairs:
+                pair = pair_material(scene, first, second)
+                table[i * count + j] = (
+                    *_law_constants(scene, law, first, second),
+                    pair.friction,
+                    pair.rolling_friction,
+                )
+    return table
+
+
+def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
+    """Constants of the contact model for a pair. Raises SceneError if it cannot reach the restitution."""
+    try:
+        return law.pair_constants(pair_material(scene, first, second))
+    except ValueError as error:
+        key = scene.pair_key(first, second)
+        location = scene.locate("pairs", key, "restitution")
+        raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
+
+
+def pair_cases_of(scene: Scene) -> list[PairCase]:
+    """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
+
+    A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
+    no contact is possible, the contact of the first group with itself limits the time step. Fixed particles collide
+    neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
+    """
+    pair_cases = []
+    groups = list(scene.particles.items())
+    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
+    for n, (name, group) in enumerate(groups):
+        for other_name, other in groups[n:]:
+            if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
+                pair = pair_material(scene, group.material, other.material)
+                mobile, partner = (other, group) if group.fixed else (group, other)
+                occurs = name != other_name or group.count > 1
+                key = scene.pair_key(group.material, other.material) if occurs else None
+                pair_cases.append(
+                    replace(_pair_case(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key)
+                )
+        for wall in walls if not group.fixed else ():
+            pair, key = pair_material(scene, group.material, wall), scene.pair_key(group.material, wall)
+            pair_cases.append(replace(_pair_case(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
+    if not pair_cases:
+        name, group = groups[0]
+        material_solid = solid(scene, group.material)
+        elastic_pair = PairMaterial(
+            modulus_eff(material_solid, material_solid), shear_modulus_eff(material_solid, material_solid), 1.0, 0.0
+        )
+        pair_cases.append(_pair_case(scene, f"{name}-{name}", elastic_pair, group, group))
+    contacts = max(sum(group.count for _, group in groups) + len(scene.walls) - 1, 1)
+    return [replace(pair_case, contact_count=contacts) for pair_case in pair_cases]
+
+
+def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
+    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
+    radius, material_solid = 0.5 * diameter_range(group)[0], solid(scene, group.material)
+    mass = _sphere_mass(radius, material_solid.density)
+    if other is None:
+        return PairCase(name, pair, radius, mass, radius, material_solid)
+    if other.fixed:
+        other_radius = 0.5 * diameter_range(other)[1]
+        return PairCase(name, pair, radius * other_radius / (radius + other_radius), mass, radius, material_solid)
+    other_radius = 0.5 * diameter_range(other)[0]
+    other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
+    radius_eff = radius * other_radius / (radius + other_radius)
+    return PairCase(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, material_solid)
+
+
+def _sphere_mass(radius: float, density: float) -> float:
+    """Mass 4/3 pi R^3 rho [kg] of a sphere with radius [m] and density [kg/m3]."""
+    return 4.0 / 3.0 * np.pi * radius**3 * density

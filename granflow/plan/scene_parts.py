@@ -1,0 +1,60 @@
+"""Groups and stages of a scene in numeric form."""
+
+from dataclasses import dataclass
+
+from granflow.load import Scene
+from granflow.plan.size_classes import diameter_range
+
+
+@dataclass(frozen=True)
+class PlannedGroup:
+    """One group of particles: name, number of particles, name of the material, whether its particles are fixed.
+
+    `diameters` [m]: smallest and largest. `source`: position of its count in the scene file.
+    """
+
+    name: str
+    count: int
+    material: str
+    fixed: bool
+    diameters: tuple[float, float]
+    source: str
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage of a run: name, and longest duration [s].
+
+    `kinetic_energy_below` [J]: mean kinetic energy per particle at which it ends earlier, or None. `key`, `source`: key
+    of the duration in the scene, and its position in the file.
+    """
+
+    name: str
+    longest: float
+    kinetic_energy_below: float | None
+    key: str
+    source: str
+
+
+def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
+    """The groups in the order of the scene."""
+    return tuple(
+        PlannedGroup(
+            *(name, group.count, group.material, group.fixed, diameter_range(group)),
+            scene.locate("particles", name, "count"),
+        )
+        for name, group in scene.particles.items()
+    )
+
+
+def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
+    """The stages in the order of the scene; a scene without stages has one, "run"."""
+    stages = []
+    for index, stage in enumerate(scene.schedule):
+        key = "max_duration" if stage.duration is None else "duration"
+        path = ("stages", index, key) if scene.stages else ("run", "duration")
+        longest = stage.duration or stage.max_duration or 0.0
+        stages.append(
+            PlannedStage(stage.name, longest, stage.kinetic_energy_below, ".".join(map(str, path)), scene.locate(*path))
+        )
+    return tuple(stages)

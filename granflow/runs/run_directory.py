@@ -1,0 +1,137 @@
+"""Output directory of a run: lock, log, copies of input files, checkpoints, and result."""
+
+import logging
+import time as clock
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from granflow.errors import OutputError
+from granflow.io.atomic_files import remove_parts
+from granflow.io.checkpoint import Checkpoint, remove_after
+from granflow.io.lock import locked
+from granflow.io.log import run_log, write_scene_as_run
+from granflow.load import Scene
+from granflow.observers.base import Checkpointable
+from granflow.runs.checkpoint_writer import CheckpointWriter
+from granflow.runs.input_copies import copy_inputs
+from granflow.runs.previous import refuse_inputs_inside, replaced_run
+from granflow.runs.result import Result, write_result
+
+
+class RunDirectory:
+    """Files of one run, except those of observers. Without a path nothing is written, and all methods have no effect.
+
+    `resumed`: checkpoint from which the run continues, or None.
+
+    Raises GranflowError if a new run would delete an input file of its scene.
+    """
+
+    def __init__(self, path: Path | None, scene: Scene, resumed: Checkpoint | None) -> None:
+        self.path = path
+        self._scene, self._resumed = scene, resumed
+        self._writer = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
+        self._delete_previous: Callable[[], None] = lambda: None
+        self._log = logging.getLogger("granflow")
+        if path is not None and resumed is None:
+            refuse_inputs_inside(scene, path, only_results=True)
+
+    def create(self) -> None:
+        """Create the directory."""
+        if self.path is not None:
+            self.path.mkdir(parents=True, exist_ok=True)
+
+    @contextmanager
+    def open(self, observers: Iterable[Checkpointable]) -> Iterator[None]:
+        """Lock the directory, move the results of a previous run aside, write the input files, and start the log.
+
+        An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
+        """
+        with ExitStack() as stack:
+            if self.path is not None:
+                stack.enter_context(locked(self.path))
+                if self._resumed is None:
+                    self._delete_previous = stack.enter_context(replaced_run(self.path))
+                self._clean(self.path, observers)
+                stack.enter_context(run_log(self.path, append=self._resumed is not None))
+            yield
+
+    def _clean(self, path: Path, observers: Iterable[Checkpointable]) -> None:
+        """Remove temporary files, newer checkpoints and results after the resumed state; write the input files."""
+        remove_parts(path)
+        remove_after(path, self._resumed.path if self._resumed else None)
+        copy_inputs(path, self._scene)
+        write_scene_as_run(path, self._scene)
+        if self._resumed is not None:
+            (path / "result.json").unlink(missing_ok=True)
+            for observer in observers:
+                observer.truncate()
+
+    def began(self) -> None:
+        """Delete the results of the previous run: the first frame of the new one is written."""
+        self._delete_previous()
+
+    def start_schedule(self, time: float) -> None:
+        """Start the schedule of checkpoints at `time` [s]."""
+        if self._writer is not None:
+            self._writer.start(time)
+
+    @property
+    def next_checkpoint(self) -> float:
+        """Simulated time [s] of the next scheduled checkpoint, regardless of the wall clock; infinite without."""
+        return inf if self._writer is None else self._writer.next_time()
+
+    @property
+    def checkpoint_time(self) -> float | None:
+        """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a checkpoint."""
+        written = self._writer.last_time if self._writer is not None else None
+        return self._resumed.time if written is None and self._resumed is not None else written
+
+    def save(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
+        """Write a checkpoint of the state at `time` [s]. Raises OSError if it cannot be written."""
+        if self._writer is not None:
+            began = clock.perf_counter()
+            self._writer.write(time, step, dict(state()))
+            self._log.info("checkpoint at %.6g s, written in %.3g s", time, clock.perf_counter() - began)
+
+    def save_if_due(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
+        """Write a checkpoint if one is due, and log a write error; raises OSError if the directory is gone."""
+        if self._writer is None or not self._writer.due(time):
+            return
+        try:
+            self.save(time, step, state)
+        except OSError as error:
+            if self.path is None or not self.path.is_dir():
+                raise
+            logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
+
+    def write(self, result: Result) -> None:
+        """Write the result of the run."""
+        if self.path is not None:
+            write_result(self.path, result)
+
+    def note_on_state(self, written: bool) -> str:
+        """Return a sentence for an aborted run: whether its state is `written`; empty without a path."""
+        if self.path is None:
+            return ""
+        if written:
+            return f" The state is written to {self.path}."
+        return f" The state is not finite and is not written; {self.path} contains the earlier frames."
+
+    def output_error(self, error: OSError, time: float, save: Callable[[], None] | None) -> OutputError:
+        """Return the error for files that cannot be written, after a checkpoint by `save` if that is possible.
+
+        The message contains the file, the reason, the simulated time [s] and the command that resumes the run.
+        """
+        where = f"{error.filename}: " if error.filename else f"{self.path}: "
+        try:
+            if save is not None:
+                self.create()
+                save()
+        except OSError:
+            self._log.debug("no checkpoint can be written either")
+        last = self._writer.last_time if self._writer is not None else None
+        remedy = f"Correct this; granflow resume {self.path} continues from {last:.6g} s." if last is not None else ""
+        return OutputError(f"{where}{error.strerror}. Stopped at {time:.6g} s. {remedy}".rstrip())

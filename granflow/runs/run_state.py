@@ -1,0 +1,72 @@
+"""The complete state of a run, except for its scene: what a checkpoint contains."""
+
+from typing import Any
+
+from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.engine.engine import Engine
+from granflow.io.checkpoint import Checkpoint
+from granflow.plan.walls import wall_change_times, wall_motions
+from granflow.runs.checkpoint_observers import check_observers, check_streams
+from granflow.runs.insertion import ParticleInsertion
+from granflow.runs.observer_list import ObserverList
+from granflow.runs.resume import Change, plan_fingerprint
+from granflow.runs.stage_progress import StageProgress
+from granflow.runs.timings import WallClock
+
+
+class RunState:
+    """Engine, stages, insertion, observers and wall clock of a run.
+
+    `earlier`: names of the groups whose particles do not come from the scene.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        insertion: ParticleInsertion,
+        observers: ObserverList,
+        wall_clock: WallClock,
+        earlier: list[str],
+    ) -> None:
+        self.engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
+        self.progress = StageProgress.of(engine.plan)
+        self._earlier = earlier
+        self._engine_checkpoint = EngineCheckpoint(engine)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays."""
+        return {
+            "stage_progress": self.progress.state_dict(),
+            "wall_clock": self.wall_clock.state_dict(self.engine),
+            "plan": plan_fingerprint(self.engine.plan),
+            "earlier": self._earlier,
+            "insertion": self.insertion.state_dict(),
+            "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
+            "engine": self._engine_checkpoint.state_dict(),
+        }
+
+    def load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
+        """Restore the state of the checkpoint and apply the changes of the scene.
+
+        change:  accepted differences between the scenes of the checkpoint and of this run
+        Raises:  GranflowError if observers, particle groups or arrays do not match the checkpoint
+        """
+        saved, engine, progress = checkpoint.saved, self.engine, self.progress
+        observers = self.observers.checkpointed()
+        check_observers(checkpoint, {name: observer.state_dict() for name, observer in observers.items()})
+        counts = {group.name: group.count for group in engine.plan.groups}
+        check_streams(checkpoint, self.insertion.state_dict(), counts)
+        reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
+        progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
+        motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
+        self._engine_checkpoint.load_state_dict(saved["engine"], motions)
+        self.insertion.load_state_dict(saved["insertion"], engine)
+        for name, observer in observers.items():
+            if name in saved["observers"]:
+                observer.load_state_dict(saved["observers"][name])
+        self.wall_clock.load_state_dict(saved["wall_clock"])
+        if change.affects_contacts:
+            times = wall_change_times(engine.plan.walls)
+            progress.changes = tuple(time for time in times if not engine.reached(time))
+            progress.set_walls(engine)
+            engine.refresh()

@@ -1,0 +1,63 @@
+"""Scenes from Python mappings: the same checks as for files, with key paths as positions."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scene_builders import build_scene, particle_group
+
+from granflow import Scene, SceneError
+from granflow.load import scene_of
+
+
+def described(**changes):
+    """A scene with one particle as a mapping, with other values for some of its keys."""
+    scene = build_scene({"ball": particle_group([[0.0, 0.0, 0.0]])})
+    return scene.model_dump(by_alias=True, exclude_none=True) | changes
+
+
+def problems(**changes):
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict(described(**changes))
+    return list(caught.value.problems)
+
+
+def test_mapping_and_text_give_the_same_scene():
+    scene = Scene.from_dict(described(gravity=np.array([0.0, 0.0, -9.81]), run={"duration": "20 ms"}))
+    assert scene.gravity == (0.0, 0.0, -9.81) and scene.run.duration == 0.02
+    assert scene_of(scene.text(), "scene") == scene
+
+
+def test_problems_name_the_key_path():
+    (problem,) = problems(gravity=[0.0, 0.0])
+    assert problem.startswith("gravity: gravity is [0.0, 0.0], but ")
+    assert "seed: a value is of type object; give a number, text, list or mapping." in problems(seed=object())
+
+
+def test_missing_keys_have_the_position_of_their_parent():
+    without = {key: value for key, value in described().items() if key != "gravity"}
+    with pytest.raises(SceneError, match="^scene: gravity is missing"):
+        Scene.from_dict(without)
+
+
+def test_checks_across_parts_apply():
+    (problem,) = problems(stages=[{"name": "fill", "duration": 1.0}])
+    assert problem.startswith("run.duration: run.duration is 1.0, but the stages have durations")
+
+
+def test_amounts_are_resolved():
+    group = {
+        "material": "glass", "diameter": 0.01, "mass": "10 g",
+        "insert": {"kind": "pack", "region": {"box": {"min": [0, 0, 0], "max": [0.5, 0.5, 0.5]}}},
+    }  # fmt: skip
+    assert Scene.from_dict(described(particles={"beads": group})).particles["beads"].count == 8
+
+
+def test_scene_is_immutable():
+    scene = Scene.from_dict(described())
+    with pytest.raises(ValidationError, match="frozen"):
+        scene.seed = 2
+    with pytest.raises(TypeError, match="immutable"):
+        scene.walls["floor"] = None
+    with pytest.raises(TypeError, match="immutable"):
+        scene.particles.clear()
+    assert scene.model_copy(deep=True) == scene
