@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow.load import Scene
+from granflow import Scene
 from granflow.studies.compare.runs import VariantRun
 from granflow.studies.page import write_page
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from granflow.load import Scene
+from granflow import Scene
 from granflow.studies.render.frames import Frame, FrameParticles, FrameWalls, read_particles, read_walls
 
 SAMPLED_FRAMES = 12
