@@ -55,7 +55,8 @@ def move_walls(fields: ti.template(), plan: ti.template(), control: ti.template(
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
-    dt, motions = ti.cast(dt_real, ti.f64), ti.static(plan.controlled_motions)
+    dt = ti.cast(dt_real, ti.f64)
+    motions = ti.static(plan.controlled_motions)
     for r in ti.static(range(len(motions))):
         force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
         for chunk in range(chunks):

@@ -63,7 +63,7 @@ class NeighborListFill:
         self.state, self.plan, self.mesh = state, plan, state.mesh
         self.particles, self.neighbors, self.sorting = state.particles, state.neighbors, state.cell_sort
         self.sheared, self.by_class = plan.features.lees_edwards, state.cell_sort.class_order is not None
-        self.image_range = int(plan.features.lees_edwards)
+        self.image_range, self.class_count = int(plan.features.lees_edwards), len(plan.size_classes)
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
@@ -119,7 +119,7 @@ class NeighborListFill:
         """Append partners from the cells within reach, class by class; separately for each image along a gradient."""
         list_end, position = list_index, self.particles.position[owner.i]
         if ti.static(self.by_class):
-            for grid in range(len(self.plan.size_classes)):
+            for grid in range(self.class_count):
                 reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + owner.skin
                 if ti.static(self.sheared):
                     reach += owner.skin
