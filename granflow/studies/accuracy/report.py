@@ -8,7 +8,7 @@ from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import (
     DISTANCE,
     FULL_STEPS,
-    INTEGRATORS,
+    INTEGRATOR,
     PHASES,
     PRECISIONS,
     RESTITUTIONS,
@@ -82,12 +82,10 @@ def measure_two_bodies(
     for precision in precisions:
         with worker_process() as process:
             for studied_law in studied_laws:
-                for integrator in INTEGRATORS:
-                    report(f"{studied_law.name}, {integrator.name}, {precision}")
-                    order = (studied_law, integrator, precision, counts, repeats, 1)
-                    line, problems = process.submit(measured_line, *order).result()
-                    lines.append(line)
-                    refused += problems
+                report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
+                line, problems = process.submit(measured_line, studied_law, precision, counts, repeats, 1).result()
+                lines.append(line)
+                refused += problems
     return TwoBodyStudy(tuple(lines), tuple(dict.fromkeys(refused)), target)
 
 
