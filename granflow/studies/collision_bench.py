@@ -182,7 +182,7 @@ class CollisionBench:
             if not data.angular_velocity.any():
                 del groups[name]["angular_velocity"]
         travel = max(abs(each.along) for each in self.collisions) * run["duration"]
-        high = np.abs(data.position).max(axis=0) + [0.0, travel, 0.0] + self._spacing
+        high = np.full(3, np.abs(data.position).max() + travel + self._spacing)
         return {
             "title": "Separate collisions",
             "gravity": [0, 0, 0],

@@ -54,13 +54,6 @@ class StudiedLaw:
 
 
 @dataclass(frozen=True)
-class Integrator:
-    """A time integration scheme."""
-
-    name: str
-
-
-@dataclass(frozen=True)
 class CollisionKind:
     """One kind of collision: target restitution, approach velocity [m/s], diameter [m], and the exact solution."""
 
@@ -87,8 +80,8 @@ STUDIED_LAWS = (
 """Contact models of the study; an elastic contact separates errors of the integrator from those of damping."""
 
 
-INTEGRATORS = (Integrator("leapfrog"),)
-"""The only integrator; docs/accuracy.md compares it with alternatives."""
+INTEGRATOR = "leapfrog"
+"""The only time integration scheme; docs/accuracy.md compares it with alternatives."""
 
 
 def reference_case() -> PaperCase:

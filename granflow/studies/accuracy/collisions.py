@@ -11,7 +11,6 @@ from granflow.studies.accuracy.axes import (
     DISTANCE,
     PHASES,
     VELOCITIES,
-    Integrator,
     StudiedLaw,
     collisions_of,
     common_duration,
@@ -59,7 +58,7 @@ class CollisionResults:
 
 
 class AccuracyBench:
-    """All collisions of one contact model and integrator in one scene; compiled once for all time steps.
+    """All collisions of one contact model in one scene; compiled once for all time steps.
 
     `velocity` (pairs,): approach velocities [m/s]. Call `free` after use.
 
@@ -67,10 +66,8 @@ class AccuracyBench:
     its own velocity, and all collisions have the same duration; the plan therefore gets the smallest velocity.
     """
 
-    def __init__(
-        self, studied_law: StudiedLaw, integrator: Integrator, precision: str = "f64", threads: int | None = None
-    ) -> None:
-        self.studied_law, self.integrator, self.precision = studied_law, integrator, precision
+    def __init__(self, studied_law: StudiedLaw, precision: str = "f64", threads: int | None = None) -> None:
+        self.studied_law, self.precision = studied_law, precision
         self.kinds = kinds_of(studied_law)
         self.velocity = np.repeat([kind.velocity for kind in self.kinds], PHASES)
         time_step = common_duration() / FINEST

@@ -11,7 +11,7 @@ from multiprocessing import active_children, get_context
 import numpy as np
 
 from granflow import GranflowError, SceneError
-from granflow.studies.accuracy.axes import PHASES, STEPS, CollisionKind, Integrator, StudiedLaw
+from granflow.studies.accuracy.axes import INTEGRATOR, PHASES, STEPS, CollisionKind, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, AccuracyBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
@@ -129,7 +129,6 @@ def worker_process() -> Iterator[ProcessPoolExecutor]:
 
 def measured_line(
     studied_law: StudiedLaw,
-    integrator: Integrator,
     precision: str = "f64",
     steps: Sequence[float] = STEPS,
     repeats: int = REPEATS,
@@ -139,7 +138,7 @@ def measured_line(
 
     `steps`: numbers of steps per collision; `repeats`: number of timings of each; `threads`: as for Simulation.
     """
-    bench = AccuracyBench(studied_law, integrator, precision, threads)
+    bench = AccuracyBench(studied_law, precision, threads)
     points: list[StudyPoint] = []
     refused: list[float] = []
     for count in steps:
@@ -149,7 +148,7 @@ def measured_line(
             refused.append(count)
     bench.free()
     descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
-    return StudyLine(studied_law.name, integrator.name, precision, tuple(points)), descriptions if refused else []
+    return StudyLine(studied_law.name, INTEGRATOR, precision, tuple(points)), descriptions if refused else []
 
 
 def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
@@ -158,7 +157,7 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     Wall times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
-    shared = {"law": bench.studied_law.name, "integrator": bench.integrator.name, "precision": bench.precision,
+    shared = {"law": bench.studied_law.name, "integrator": INTEGRATOR, "precision": bench.precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip

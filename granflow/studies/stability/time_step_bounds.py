@@ -92,7 +92,8 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
     `law`: key of LAWS; `friction`: with the friction coefficient FRICTION, which prevents sliding. All lattices share
     one engine.
     """
-    simulation, bounds = Simulation(_scene(law, FRICTION if friction else 0.0)), []
+    first = _particles(next(iter(LATTICES.values())), 0.0, friction)
+    simulation, bounds = Simulation(_scene(law, FRICTION if friction else 0.0), particles=first), []
     plan = simulation.plan
     for name, lattice in LATTICES.items():
         pair_case = _pair_case(plan, lattice)
