@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from granflow.errors import GranflowError, RunError, SceneError
     from granflow.load import load as load_scene
+    from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
@@ -18,7 +19,7 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 
-__all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene"]
+__all__ = ["GranflowError", "RunError", "SceneError", "Simulation", "load_scene", "register_contact_model"]
 
 _LOCATIONS = {
     "GranflowError": "granflow.errors:GranflowError",
@@ -26,6 +27,7 @@ _LOCATIONS = {
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
     "load_scene": "granflow.load:load",
+    "register_contact_model": "granflow.scene.registration:register_contact_model",
     "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""

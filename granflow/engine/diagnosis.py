@@ -24,7 +24,8 @@ from granflow.engine.walls import walls_of
 from granflow.geometry.mesh.contact import reference_contact
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
-from granflow.plan.plan import Plan, pair_material, solid
+from granflow.plan.pair_cases import pair_material, solid
+from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
 
 FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")

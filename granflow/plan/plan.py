@@ -6,17 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from granflow.contact.cohesion.cohesion import COHESIONS
-from granflow.contact.material import (
-    PairMaterial,
-    Solid,
-    VelocityRestitution,
-    limit_velocity,
-    modulus_eff,
-    shear_modulus_eff,
-    yield_strength,
-)
-from granflow.contact.model import ModelRequest, NormalLaw
+from granflow.contact.law import NormalLaw
+from granflow.contact.laws import ContactLaws
 from granflow.errors import SceneError
 from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
@@ -24,14 +15,15 @@ from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
-from granflow.plan.features import Features, Reason, cohesion_of, features_of, reasons_for
+from granflow.plan.features import Features, Reason, features_of, reasons_for
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import PlannedOutlet, planned_outlets
+from granflow.plan.pair_cases import active_models, build_laws, pair_cases_of, pair_table
 from granflow.plan.resolution import coordinate_limit, refuse_coarse
 from granflow.plan.size_classes import diameter_range, size_classes
-from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
+from granflow.plan.time_step import TimeStep, choose_time_step, resolution_warning
 from granflow.plan.travel import (
     STEP_SHARE,
     refuse_fast_images,
@@ -41,7 +33,7 @@ from granflow.plan.travel import (
 )
 from granflow.plan.wall_control import ControlledMotion, controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
-from granflow.scene.schema.scene import Group, RestitutionFit, Scene
+from granflow.scene.schema.scene import Scene
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
@@ -83,11 +75,11 @@ class Plan:
     scene: Scene
     features: Features
     reasons: tuple[Reason, ...]
-    law: NormalLaw
+    laws: ContactLaws
     materials: tuple[str, ...]
     """Names of the materials in plan order, those of particles first."""
     pair_constants: np.ndarray
-    """(materials^2, constants): constants of the contact model, friction, rolling friction."""
+    """(materials^2, constants): constants of the contact laws, in the order of `laws.constant_names`."""
     particle_capacity: int
     radius_min: float
     radius_max: float
@@ -118,14 +110,9 @@ class Plan:
         return len(self.materials)
 
     @property
-    def friction_index(self) -> int:
-        """Index of the friction coefficient in the pair constants."""
-        return len(self.law.constant_names)
-
-    @property
-    def rolling_index(self) -> int:
-        """Index of the rolling friction coefficient in the pair constants."""
-        return self.friction_index + 1
+    def law(self) -> NormalLaw:
+        """The normal contact law."""
+        return self.laws.normal
 
     @property
     def has_walls(self) -> bool:
@@ -134,16 +121,8 @@ class Plan:
 
     @property
     def history(self) -> dict[str, int]:
-        """Contact history: name of the field -> number of components.
-
-        "normal": fields of the contact model; "tangential": tangential displacement [m]; "rolling": rolling
-        displacement or torque. Fields without components are absent; an empty dictionary means that no history is
-        stored.
-        """
-        sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
-        saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
-        sizes["rolling"] = 3 * (self.features.rolling in saved_models)
-        return {name: size for name, size in sizes.items() if size}
+        """Contact history: slot of the contact model -> number of components; slots without history are absent."""
+        return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
 
     @property
     def chunk_capacity(self) -> int:
@@ -276,9 +255,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     numbers = {name: number for number, name in enumerate(materials)}
     walls = planned_walls(scene, numbers)
     velocity = max_impact_velocity(scene).value
-    law = build_law(scene, velocity)
-    features = features_of(scene, law.rate_dependent)
-    table = _pair_table(scene, law, materials)
+    laws = build_laws(scene, velocity)
+    law = laws.normal
+    features = features_of(scene, active_models(scene), law.rate_dependent)
+    table = pair_table(scene, laws, materials)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     refuse_coarse(scene, radius_min)
@@ -295,7 +275,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         scene=scene,
         features=features,
         reasons=reasons_for(scene, features),
-        law=law,
+        laws=laws,
         materials=materials,
         pair_constants=table,
         particle_capacity=particle_count,
@@ -325,134 +305,9 @@ def _refuse_fast(plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     refuse_fast_images(plan.scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
 
 
-def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The normal contact model of the scene, extended by its cohesion model if any pair has cohesion.
-
-    `velocity` [m/s]: maximum expected impact velocity, for which the model may compute its constants.
-    """
-    normal = scene.contact.normal
-    pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
-    law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
-    cohesion = cohesion_of(scene)
-    return law if cohesion == "none" else COHESIONS[cohesion](law)
-
-
-def solid(scene: Scene, material: str) -> Solid:
-    """Constants of one material of the scene.
-
-    Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio. Raises KeyError for an unknown material.
-    """
-    given = scene.materials[material]
-    return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
-
-
-def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
-    """Mixed constants of two materials, symmetric under their exchange.
-
-    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
-    Raises KeyError if the scene has no such pair.
-    """
-    pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
-    given = pair.restitution
-    restitution: float | VelocityRestitution | None
-    if isinstance(given, RestitutionFit):
-        restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
-    else:
-        restitution = given
-    rolling = pair.rolling_friction or 0.0
-    cohesion = pair.cohesion_energy_density or 0.0
-    return PairMaterial(
-        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b), cohesion
-    )
-
-
 def _used_materials(scene: Scene) -> Iterator[str]:
     yield from (group.material for group in scene.particles.values())
     yield from (wall.material for wall in scene.walls.values())
-
-
-def _pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
-    """Constants of each pair of materials (materials^2, constants + 2); NaN for pairs without contacts.
-
-    Row i * materials + j. The last two columns are friction and rolling friction. Raises SceneError if the contact
-    model cannot reach the restitution of a pair.
-    """
-    count = len(materials)
-    table = np.full((count * count, len(law.constant_names) + 2), np.nan)
-    for i, first in enumerate(materials):
-        for j, second in enumerate(materials):
-            if scene.pair_key(first, second) in scene.pairs:
-                pair = pair_material(scene, first, second)
-                table[i * count + j] = (
-                    *_law_constants(scene, law, first, second),
-                    pair.friction,
-                    pair.rolling_friction,
-                )
-    return table
-
-
-def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
-    """Constants of the contact model for a pair. Raises SceneError if it cannot reach the restitution."""
-    try:
-        return law.pair_constants(pair_material(scene, first, second))
-    except ValueError as error:
-        key = scene.pair_key(first, second)
-        location = scene.locate("pairs", key, "restitution")
-        raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
-
-
-def pair_cases_of(scene: Scene) -> list[PairCase]:
-    """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
-
-    A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
-    no contact is possible, the contact of the first group with itself limits the time step. Fixed particles collide
-    neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
-    """
-    pair_cases = []
-    groups = list(scene.particles.items())
-    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
-    for n, (name, group) in enumerate(groups):
-        for other_name, other in groups[n:]:
-            if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
-                pair = pair_material(scene, group.material, other.material)
-                mobile, partner = (other, group) if group.fixed else (group, other)
-                occurs = name != other_name or group.count > 1
-                key = scene.pair_key(group.material, other.material) if occurs else None
-                pair_cases.append(
-                    replace(_pair_case(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key)
-                )
-        for wall in walls if not group.fixed else ():
-            pair, key = pair_material(scene, group.material, wall), scene.pair_key(group.material, wall)
-            pair_cases.append(replace(_pair_case(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
-    if not pair_cases:
-        name, group = groups[0]
-        material_solid = solid(scene, group.material)
-        elastic_pair = PairMaterial(
-            modulus_eff(material_solid, material_solid), shear_modulus_eff(material_solid, material_solid), 1.0, 0.0
-        )
-        pair_cases.append(_pair_case(scene, f"{name}-{name}", elastic_pair, group, group))
-    contacts = max(sum(group.count for _, group in groups) + len(scene.walls) - 1, 1)
-    return [replace(pair_case, contact_count=contacts) for pair_case in pair_cases]
-
-
-def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
-    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
-    radius, material_solid = 0.5 * diameter_range(group)[0], solid(scene, group.material)
-    mass = _sphere_mass(radius, material_solid.density)
-    if other is None:
-        return PairCase(name, pair, radius, mass, radius, material_solid)
-    if other.fixed:
-        other_radius = 0.5 * diameter_range(other)[1]
-        return PairCase(name, pair, radius * other_radius / (radius + other_radius), mass, radius, material_solid)
-    other_radius = 0.5 * diameter_range(other)[0]
-    other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
-    radius_eff = radius * other_radius / (radius + other_radius)
-    return PairCase(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, material_solid)
-
-
-def _sphere_mass(radius: float, density: float) -> float:
-    """Mass 4/3 pi R^3 rho [kg] of a sphere with radius [m] and density [kg/m3]."""
-    return 4.0 / 3.0 * np.pi * radius**3 * density
 
 
 def _time_step(scene: Scene, law: NormalLaw, velocity: float, diameter: float) -> TimeStep:

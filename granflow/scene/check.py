@@ -8,6 +8,8 @@ import math
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
+from granflow.contact import registry
+from granflow.contact.options import FRICTION
 from granflow.fields import FLOW_METER_QUANTITIES, INSERTION_QUANTITIES, OUTLET_QUANTITIES, WALL_FORCE_QUANTITIES
 from granflow.scene.check_analysis import expected_metrics, field_grids, metrics
 from granflow.scene.check_lees_edwards import lees_edwards
@@ -156,42 +158,33 @@ def _counts(scene: Scene, names: set[str], fixed: bool) -> dict[str, int]:
     return found
 
 
-def _friction(scene_parts: PartialScene) -> Iterator[Violation]:
-    """Friction coefficients require a tangential or rolling contact model, and vice versa."""
+def _pair_options(scene_parts: PartialScene) -> Iterator[Violation]:
+    """Keys of pairs require the contact model that declares them, and vice versa."""
     contact = scene_parts.scene.contact
     for key, pair in scene_parts.scene.pairs.items():
-        rolling = ("pairs", key, "rolling_friction")
-        if pair.friction > 0 and contact.tangential == "none":
-            yield ("pairs", key, "friction"), Fault((), "contact.tangential is none; write 0, or choose mindlin")
-        if pair.rolling_friction is None and contact.rolling != "none":
-            remedy = "give the coefficient, or 0 to disable rolling friction"
-            reason = f"is missing: contact.rolling is {contact.rolling}; {remedy}"
-            yield rolling, Fault((), reason, whole=True)
-        if pair.rolling_friction and contact.rolling == "none":
-            yield rolling, Fault((), "contact.rolling is none; remove rolling_friction, or choose epsd or cdt")
-
-
-def _cohesion(scene_parts: PartialScene) -> Iterator[Violation]:
-    """A cohesion model requires a cohesion energy density in every pair, and vice versa."""
-    cohesion = scene_parts.scene.contact.cohesion
-    for key, pair in scene_parts.scene.pairs.items():
-        path: KeyPath = ("pairs", key, "cohesion_energy_density")
-        if cohesion == "none" and pair.cohesion_energy_density is not None:
-            yield path, Fault((), "contact.cohesion is none; remove cohesion_energy_density, or choose sjkr")
-        if cohesion != "none" and pair.cohesion_energy_density is None:
-            reason = f"is missing: contact.cohesion is {cohesion}; give it in J/m3, or 0 to disable cohesion"
-            yield path, Fault((), reason, whole=True)
+        for option in registry.pair_options().values():
+            path: KeyPath = ("pairs", key, option.key)
+            value, known = getattr(pair, option.key), registry.models_with(option.key)
+            users = {slot: contact.name(slot) for slot, names in known.items() if contact.name(slot) in names}
+            if users and value is None:
+                slot, name = next(iter(users.items()))
+                yield path, Fault((), f"is missing: contact.{slot} is {name}; {option.remedy}", whole=True)
+            elif value and not users:
+                slot, names = next(iter(known.items()))
+                remedy = "write 0" if option.key == FRICTION.key else f"remove {option.key}"
+                reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
+                yield path, Fault((), reason)
 
 
 def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
     """Restitution in the form that the normal contact model requires; none if it follows from the materials.
 
-    The forms are: nothing, a number, a positive number, a number or a fit (`LawKind.restitution`).
+    The forms are: nothing, a number, a positive number, a number or a fit (`ContactModel.restitution`).
     """
     normal = scene_parts.scene.contact.normal
     for key, pair in scene_parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
-        if normal.kind.restitution == "nothing":
+        if normal.record.restitution == "nothing":
             if pair.restitution is not None:
                 yield path, Fault((), f"the contact model {normal.law} derives it from the materials; remove it")
             elif not _has_yield_strength(scene_parts, key):
@@ -202,7 +195,7 @@ def _restitution(scene_parts: PartialScene) -> Iterator[Violation]:
             yield path, Fault((), "is missing: restitution coefficient, a number in [0, 1]", whole=True)
         elif isinstance(pair.restitution, RestitutionFit):
             yield from _restitution_fit(scene_parts, key, pair.restitution)
-        elif pair.restitution == 0 and normal.kind.restitution == "positive number":
+        elif pair.restitution == 0 and normal.record.restitution == "positive number":
             yield path, Fault((), f"the contact model {normal.law} requires a number above 0 and at most 1")
 
 
@@ -217,14 +210,12 @@ def _restitution_fit(scene_parts: PartialScene, key: str, fit: RestitutionFit) -
     normal, path = scene_parts.scene.contact.normal, ("pairs", key, "restitution")
     settings = normal.settings()
     fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
-    if normal.kind.restitution != "number or fit":
+    if normal.record.restitution != "number or fit":
         yield path, Fault((), f"the contact model {normal.law} requires a number, above 0 and at most 1")
     elif fixed:
-        reason = (
-            f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
-            "or write impact or max_overlap"
-        )
-        yield path, Fault((), reason)
+        words = [word for word in normal.words(fixed[0]) if word != settings[fixed[0]]]
+        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
+        yield path, Fault((), f"{reason}or write {' or '.join(words)}")
     else:
         yield from _limit_velocity(scene_parts, key, fit)
 
@@ -430,8 +421,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Check], ...] = (
     ((), _some_particles),
     ((), _pair_names),
     (("particles",), _missing_pairs),
-    (("contact",), _friction),
-    (("contact",), _cohesion),
+    (("contact",), _pair_options),
     (("contact",), _restitution),
     (("stages",), _stage_names),
     (("stages", "run"), _duration),

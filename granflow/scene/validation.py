@@ -107,6 +107,11 @@ def _adapter(section: str, is_entry: bool) -> TypeAdapter[Any]:
     return TypeAdapter(arguments[1] if get_origin(field.annotation) is dict else arguments[0])
 
 
+def clear_adapters() -> None:
+    """Discard the validators; required after a change of the schema."""
+    _adapter.cache_clear()
+
+
 def _faults(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, Fault]]:
     """Faults of a value and of all models in it, depth first, with key paths from the root."""
     if isinstance(value, Model):

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from granflow.contact import theory
+from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import NormalLaw
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError, SceneError
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, build_law, pair_material, plan_for
+from granflow.plan.pair_cases import build_laws, pair_material
+from granflow.plan.plan import Plan, plan_for
 from granflow.scene.reader import scene_in
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
@@ -80,7 +81,7 @@ def collide(
     described = _scene_of(law, materials, sizes, velocity, wall, restitution)
     scene = _read(described, settings)
     impact = _impact(scene, sizes, velocity, wall)
-    expected = _expected(build_law(scene, velocity), impact)
+    expected = _expected(build_laws(scene, velocity).normal, impact)
     _refuse_deep(sizes, velocity, expected["overlap_max_theory"])
     if steps_per_contact is not None:
         described["run"]["time_step"] = expected["duration_theory"] / steps_per_contact
@@ -96,9 +97,9 @@ def collide(
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     """Raise GranflowError for an unknown contact model or preset, with a suggestion."""
-    if law not in NORMAL_LAWS:
+    if law not in models("normal"):
         raise GranflowError(
-            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'contact models'))}"
+            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, models('normal'), 'contact models'))}"
         )
     for name in materials:
         if name not in PRESETS:
@@ -129,7 +130,7 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
 
     Depending on the model, a restitution is required, must be above 0, or must not be given.
     """
-    kind = NORMAL_LAWS[law]
+    kind = models("normal")[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
         raise GranflowError(f"restitution is {restitution:g}, but must be in [0, 1].")
     if kind.restitution == "nothing":
@@ -183,7 +184,7 @@ def _scene_of(
         "gravity": [0, 0, 0],
         "materials": {first: {"preset": materials[0]}, second: {"preset": materials[1]}},
         "pairs": {"first-first": pair, "first-second": pair, "second-second": pair},
-        "contact": {"normal": {"law": law, **NORMAL_LAWS[law].example}, "tangential": "none", "rolling": "none"},
+        "contact": {"normal": {"law": law, **models("normal")[law].example}, "tangential": "none", "rolling": "none"},
         "particles": {"sphere": sphere},
         "domain": {"min": [-contact_distance] * 3, "max": [contact_distance] * 3, "on_exit": "error"},
         "run": {"duration": 1.0, "velocity_max": velocity},
@@ -206,7 +207,7 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
 
     Raises GranflowError if it is neither given nor known for the preset.
     """
-    if NORMAL_LAWS[law].restitution == "nothing":
+    if models("normal")[law].restitution == "nothing":
         return {}
     if restitution is not None:
         return {"restitution": restitution}
@@ -337,7 +338,7 @@ def _integrate_collision(engine: Engine, plan: Plan, impact: CollisionInput) -> 
             break
         previous, last = last, current
     engine.free()
-    if duration == 0.0 and plan.law.attracts:
+    if duration == 0.0 and plan.laws.attracts:
         raise GranflowError("The collision did not end: the attraction prevents separation.")
     if duration == 0.0:
         raise GranflowError("The collision did not end; increase --steps-per-contact.")

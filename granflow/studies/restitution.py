@@ -16,7 +16,8 @@ from granflow.contact.material import PairMaterial
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, pair_material, plan_for
+from granflow.plan.pair_cases import pair_material
+from granflow.plan.plan import Plan, plan_for
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
 from granflow.studies.figures import COLORS, MARKERS, POINTS, draw_to, write_columns
@@ -351,7 +352,7 @@ def _impact(plan: Plan, pair: MaterialPairing, velocity: float) -> _Impact:
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
     """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a warning."""
-    if plan.law.least_restitution is None or impact.requested == 0.0:
+    if not plan.law.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
     collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
     return impact.requested < plan.law.least_restitution(*collision, plan.time_step)

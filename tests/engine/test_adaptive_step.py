@@ -11,7 +11,7 @@ from subprocess_runner import in_subprocess
 from granflow.contact import theory
 from granflow.engine import stepper
 from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
-from granflow.plan.plan import pair_cases_of
+from granflow.plan.pair_cases import pair_cases_of
 from granflow.plan.time_step import choose_time_step
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scene_builders import SOFT, box, build_scene, column, particle_group, run_and_sample, run_to_end
 
-from granflow.plan.plan import pair_cases_of, plan_for
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import plan_for
 
 RADIUS, FIXED_RADIUS, SPEED = 0.005, 0.008, 0.7
 MASS = 4.0 / 3.0 * pi * RADIUS**3 * SOFT["density"]

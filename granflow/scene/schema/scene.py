@@ -15,6 +15,7 @@ from pydantic import Field, PrivateAttr
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
 from granflow.scene.document import Document
 from granflow.scene.schema.analysis import AnyMetric, FieldGrid
+from granflow.scene.schema.contact import Contact
 from granflow.scene.schema.fields import (
     AccelerationVector,
     AnyQuantity,
@@ -57,7 +58,7 @@ from granflow.scene.schema.insertion import (
     RainInsertion,
     RectangleFace,
 )
-from granflow.scene.schema.materials import Contact, Material, MaterialPair, RestitutionFit
+from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
 from granflow.scene.schema.outlets import BoxOutlet, HalfSpaceOutlet, Outlet
 from granflow.scene.schema.walls import (
     AnyWall,

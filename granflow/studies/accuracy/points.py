@@ -12,7 +12,7 @@ import numpy as np
 
 from granflow.engine.backend import Backend, Precision, start
 from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import pair_cases_of
+from granflow.plan.pair_cases import pair_cases_of
 from granflow.plan.time_step import shortest_phase
 from granflow.studies.accuracy.axes import STEPS, CollisionKind, Integrator, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, CollisionBench, CollisionResults

@@ -11,7 +11,8 @@ from granflow.errors import RunError, SceneError
 from granflow.load import load as load_scene
 from granflow.observers.build import stage_durations
 from granflow.observers.interval import every
-from granflow.plan.plan import pair_cases_of, plan_for
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import plan_for
 from granflow.plan.time_step import shortest_phase
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation

@@ -13,7 +13,7 @@ from granflow.contact.material import PairMaterial
 from granflow.contact.spring import MIN_VELOCITY_SHARE
 from granflow.engine.backend import Backend
 from granflow.errors import GranflowError, SceneError
-from granflow.plan.plan import pair_material
+from granflow.plan.pair_cases import pair_material
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.scene import Scene
 from granflow.studies.compare.variants import LawVariant, restitution_for

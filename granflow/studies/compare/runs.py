@@ -16,7 +16,8 @@ from granflow.errors import GranflowError, RunError, SceneError
 from granflow.observers.build import stage_durations
 from granflow.observers.flow_meters import steady_flow
 from granflow.observers.interval import every
-from granflow.plan.plan import Plan, pair_cases_of
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import Plan
 from granflow.scene.schema.scene import Scene
 from granflow.simulation import Simulation
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram

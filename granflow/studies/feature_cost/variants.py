@@ -126,7 +126,7 @@ def _with_rolling(scene: Scene, rolling: Literal["none", "epsd"]) -> Scene:
 
 def _rolling_pair(pair: MaterialPair) -> MaterialPair:
     """The pair with its rolling friction, or ROLLING_FRICTION if it has none."""
-    return pair.model_copy(update={"rolling_friction": pair.rolling_friction or ROLLING_FRICTION})
+    return pair.model_copy(update={"rolling_friction": pair.model_dump()["rolling_friction"] or ROLLING_FRICTION})
 
 
 def _elastic(scene: Scene) -> Scene:

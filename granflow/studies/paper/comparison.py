@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from granflow.contact.law import ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial, shear_modulus_eff
-from granflow.contact.model import ModelRequest, NormalLaw
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.engine.backend import Backend
 from granflow.errors import SceneError
 from granflow.scene.schema.scene import Numerics
@@ -77,12 +77,12 @@ def candidate_model(name: str) -> CandidateModel:
 
     Raises KeyError for an unknown name, ValueError if the model rejects the materials.
     """
-    kind = NORMAL_LAWS[name]
+    kind = models("normal")[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
     pairs = [pair_of(case, e) for case, e in zip(PAPER_CASES, wanted, strict=True)]
-    defaults = {key: setting.default for key, setting in kind.settings.items() if setting.default is not None}
-    law = kind.build(
+    defaults = {key: setting.default for key, setting in kind.options.items() if setting.default is not None}
+    law: Any = kind.law.from_scene(
         ModelRequest(defaults | dict(settings), tuple(pairs), float(VELOCITIES.max()), Numerics().unloading_angle)
     )
     if kind.restitution == "number or fit":
@@ -145,7 +145,7 @@ def compare(backend: Backend, velocities: np.ndarray = VELOCITIES) -> LawCompari
     """
     comparison = LawComparison()
     shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
-    for name in NORMAL_LAWS:
+    for name in models("normal"):
         try:
             model = candidate_model(name)
             outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT, backend)

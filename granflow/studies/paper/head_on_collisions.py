@@ -12,7 +12,8 @@ from granflow.engine.backend import Backend
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
 from granflow.particles.generate import initial_particles
-from granflow.plan.plan import Plan, pair_cases_of, plan_for
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import Plan, plan_for
 from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
 
 LONGEST = 40.0

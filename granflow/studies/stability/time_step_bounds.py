@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact import theory
+from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import NormalLaw
-from granflow.contact.normal.thornton import ThorntonCollision
 from granflow.engine.backend import start
 from granflow.engine.engine import Engine
 from granflow.engine.limits import NO_PARTICLE
 from granflow.particles.generate import ParticleData
-from granflow.plan.plan import Plan, pair_cases_of, plan_for
+from granflow.plan.pair_cases import pair_cases_of
+from granflow.plan.plan import Plan, plan_for
 from granflow.plan.time_step import PairCase, stable_step
 from granflow.scene.schema.scene import LARGEST_OVERLAP, Scene
 from granflow.studies.stability.lattices import LATTICES, TestLattice
@@ -112,19 +111,8 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
 
 
 def overlap_at(law: NormalLaw, pair_case: PairCase) -> float:
-    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the check.
-
-    Thornton's model with its yield overlap; Hertzian models with Zhou (2011), Eq. 5; linear springs with v sqrt(M/K).
-    """
-    pair, radius, mass, speed = _pair_arguments(pair_case)
-    k = float(theory.hertz_stiffness(pair.modulus_eff, radius))
-    if law.name == "thornton":
-        pressure = law.pair_constants(pair)[2]
-        yield_overlap = radius * (0.5 * np.pi * pressure / pair.modulus_eff) ** 2
-        return ThorntonCollision(k, radius, mass, speed, pressure, yield_overlap).overlap_max
-    if law.tangential_stiffness_grows:
-        return float(theory.overlap_max(k, mass, speed))
-    return speed * float(np.sqrt(mass / law.loading_stiffness(*_pair_arguments(pair_case))))
+    """Maximum overlap [m] of a collision at VELOCITY, by the formula of the contact model."""
+    return law.overlap_max(*_pair_arguments(pair_case))
 
 
 def _pair_arguments(pair_case: PairCase) -> tuple[PairMaterial, float, float, float]:
