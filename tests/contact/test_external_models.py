@@ -251,7 +251,6 @@ def sticky_laws(units):
 CHECKS = (
     generic.test_device_equals_its_numpy_reference,
     generic.test_only_attractive_models_have_tension,
-    generic.test_force_vanishes_at_zero_overlap,
     generic.test_force_is_continuous_between_branches,
     generic.test_work_equals_stored_plus_lost_energy,
     generic.test_work_on_closed_paths_is_not_negative,
