@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from granflow.plan.explain import explain
     from granflow.plan.memory_estimate import estimate_memory
     from granflow.plan.plan import Plan
+    from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
 
@@ -44,6 +45,7 @@ __all__ = [
     "load_scene",
     "on_interval",
     "plan_for",
+    "register_contact_model",
     "start",
     "steady_flow",
 ]
@@ -65,6 +67,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build:plan_for",
     "start": "granflow.engine.backend:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
+    "register_contact_model": "granflow.scene.registration:register_contact_model",
     "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""

@@ -3,7 +3,8 @@
 SI units throughout. Symbols as in Zhou (2011).
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -55,11 +56,10 @@ class VelocityRestitution:
 class PairMaterial:
     """Effective constants of a pair of materials, symmetric under exchange of the two.
 
-    modulus_eff:              E [Pa], see `modulus_eff`
-    shear_modulus_eff:        G [Pa], see `shear_modulus_eff`
-    friction:                 coefficient of sliding friction [-]
-    rolling_friction:         coefficient of rolling friction [-]
-    cohesion_energy_density:  [J/m3], 0 without cohesion
+    modulus_eff:        E [Pa], see `modulus_eff`
+    shear_modulus_eff:  G [Pa], see `shear_modulus_eff`
+    friction:           coefficient of sliding friction [-]
+    options:            keys of `pairs` that a contact model declares, other than friction, in SI units
     """
 
     modulus_eff: float
@@ -67,10 +67,11 @@ class PairMaterial:
     restitution: float | VelocityRestitution | None
     """Number or function of velocity. None if the pair gives none; the model then derives it from the materials."""
     friction: float
-    rolling_friction: float = 0.0
     yield_strength: float | None = None
     """Yield strength of the softer material [Pa]; None if neither material has one."""
-    cohesion_energy_density: float = 0.0
+    options: Mapping[str, float] = field(default_factory=dict)
+    has_tangential_force: bool = False
+    """Whether a tangential or rolling model acts between the two."""
 
     def restitution_at(self, velocity: float) -> float:
         """Restitution coefficient at an approach velocity [m/s]. Raises ValueError if the pair has none."""

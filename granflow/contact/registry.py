@@ -1,119 +1,76 @@
-"""Catalog of the normal contact models. A new model is one file, `<name>.py`, and one entry here. No Taichi."""
+"""Registry of contact models by slot and name. A built-in model is one file and one entry here. No Taichi."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
+import math
+import re
+from collections.abc import Iterator, Mapping
 
-from granflow.contact.model_kind import Amount, Choice, LawKind
+from granflow.contact.cohesion import sjkr
+from granflow.contact.model import SLOTS, ContactModel
+from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
+from granflow.contact.options import PairOption
+from granflow.contact.rolling import cdt, epsd
+from granflow.contact.tangential import mindlin
 
-SPRING = Choice(
-    "onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at this "
-    "velocity) or {value: 1e4 N/m}",
-    words=("onset",),
-    keyed={
-        "reference_velocity": Amount(
-            "approach velocity [m/s] at which the spring stores the same energy as a Hertz contact",
-            *("1 m/s", "velocity", "a speed"),
-            above=0,
-        ),
-        "value": Amount(
-            "stiffness [N/m] of the spring, for all pairs and particle sizes", "1e4 N/m", "stiffness", above=0
-        ),
-    },
-)
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
-ZHOU = LawKind(
-    "zhou",
-    "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
-    {
-        "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, "
-            "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the restitution of "
-            "every pair is a number)",
-            words=("impact", "max_overlap", "constant"),
-            default="impact",
-            with_numbers="constant",
-        ),
-        "damping_ratio": Amount(
-            "damping ratio of the viscous force on the elastic branch; 0: no viscous force, 1: critical damping",
-            *("0.1", "number", "a damping ratio"),
-            at_least=0,
-            at_most=1,
-            default=0.0,
-        ),
-    },
-    "number or fit",
-)
-HERTZ = LawKind("hertz", "Hertz spring; viscous damping from the restitution number of each pair (1: elastic).")
-LINEAR = LawKind("linear", "Linear spring and dashpot.", {"stiffness": SPRING}, example={"stiffness": "onset"})
-THORNTON = LawKind(
-    "thornton",
-    "Elastic, perfectly plastic spheres: restitution follows from the yield strength (Thornton 1997).",
-    {
-        "yield_ratio": Amount(
-            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below the surface "
-            "(Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
-            *("1.6", "number", "a ratio"),
-            above=0,
-        )
-    },
-    "nothing",
-    example={"yield_ratio": 1.6},
-)
-WALTON_BRAUN = LawKind(
-    "walton_braun",
-    "Bilinear: stiffness k1 on loading, the steeper k2 on unloading (Walton & Braun 1986).",
-    {
-        "stiffness": SPRING,
-        "unloading": Choice(
-            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases with the "
-            "maximum force; e decreases with velocity and equals the restitution of the pair at this velocity)",
-            words=("constant",),
-            keyed={
-                "reference_velocity": Amount(
-                    "approach velocity [m/s] at which e equals the restitution of the pair",
-                    *("1 m/s", "velocity", "a speed"),
-                    above=0,
-                )
-            },
-        ),
-    },
-    example={"stiffness": "onset", "unloading": "constant"},
-)
-LUDING = LawKind(
-    "luding",
-    "Bilinear, with plasticity that increases up to a limit overlap, elastic beyond it (Luding 2008); the restitution "
-    "of a pair applies at the limit.",
-    {
-        "stiffness": SPRING,
-        "plasticity_depth": Amount(
-            "ratio of the largest residual overlap to 2 R (R: effective radius), such as 0.05",
-            *("0.05", "number", "a ratio"),
-            above=0,
-            at_most=1,
-        ),
-        "tension": Amount(
-            "ratio of the stiffness kc of the tension line -kc d to the loading stiffness; 0: no tension",
-            *("0.2", "number", "a ratio"),
-            at_least=0,
-            default=0.0,
-        ),
-    },
-    example={"stiffness": "onset", "plasticity_depth": 0.05, "tension": 0.0},
-)
-KUWABARA_KONO = LawKind(
-    "kuwabara_kono",
-    "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e decreases with "
-    "velocity (Kuwabara & Kono 1987).",
-    {
-        "reference_velocity": Amount(
-            "approach velocity [m/s] at which e equals the restitution of the pair",
-            *("1 m/s", "velocity", "a speed"),
-            above=0,
-        )
-    },
-    example={"reference_velocity": 1.0},
-)
+_MODELS: dict[str, dict[str, ContactModel]] = {slot: {} for slot in SLOTS}
 
-NORMAL_LAWS: Mapping[str, LawKind] = MappingProxyType(
-    {kind.name: kind for kind in (ZHOU, HERTZ, LINEAR, THORNTON, WALTON_BRAUN, LUDING, KUWABARA_KONO)}
-)
+
+def add(model: ContactModel) -> None:
+    """Add a model to its slot. Raises ValueError for a record that is not valid, or a name that exists."""
+    problem = next(_problems(model), None)
+    if problem:
+        raise ValueError(f"contact model {getattr(model.law, 'name', model.law.__name__)}: {problem}")
+    _MODELS[model.slot][model.name] = model
+
+
+def remove(model: ContactModel) -> None:
+    """Remove a model that was added."""
+    del _MODELS[model.slot][model.name]
+
+
+def models(slot: str) -> Mapping[str, ContactModel]:
+    """The models of a slot by name, in the order of registration."""
+    return _MODELS[slot]
+
+
+def pair_options() -> dict[str, PairOption]:
+    """The keys of `pairs` that any model requires."""
+    return {option.key: option for slot in _MODELS.values() for model in slot.values() for option in model.pair_options}
+
+
+def models_with(key: str) -> dict[str, list[str]]:
+    """Slots and names of the models that require a key of `pairs`."""
+    found = {
+        slot: [name for name, model in named.items() if any(option.key == key for option in model.pair_options)]
+        for slot, named in _MODELS.items()
+    }
+    return {slot: names for slot, names in found.items() if names}
+
+
+def _problems(model: ContactModel) -> Iterator[str]:
+    """Reasons why a record cannot be registered."""
+    if not any(issubclass(model.law, base) for base in SLOTS.values()):
+        yield f"its law must be a subclass of {', '.join(base.__name__ for base in SLOTS.values())}"
+        return
+    missing = [name for name in ("name", "source", "limits") if not isinstance(getattr(model.law, name, None), str)]
+    if missing:
+        yield f"its law has no {' and no '.join(missing)}"
+    elif not _NAME.fullmatch(model.name) or model.name == "none":
+        yield "a name has lowercase letters, digits and _, and is not none"
+    elif model.name in _MODELS[model.slot]:
+        yield f"a {model.slot} model of this name exists"
+    if not (math.isfinite(model.law.range) and model.law.range == 0.0):
+        yield "a range other than 0 is not supported: neighbor lists and walls detect contacts by overlap"
+    known = pair_options()
+    for option in model.pair_options:
+        if not _NAME.fullmatch(option.key) or option.key in ("restitution", "model"):
+            yield f"{option.key} is not a valid key of pairs"
+        elif known.get(option.key, option) != option:
+            yield f"the key {option.key} of pairs exists with another meaning"
+        elif option.amount.default is not None:
+            yield f"the key {option.key} of pairs has a default; a physical property has none"
+
+
+for _module in (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono, mindlin, epsd, cdt, sjkr):
+    add(_module.MODEL)

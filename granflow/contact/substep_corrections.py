@@ -9,7 +9,8 @@ restitution. Each function here replaces the value at the time level by the mean
 from typing import Any
 
 import numpy as np
-import taichi as ti
+
+from granflow.contact.device import ti
 
 
 @ti.func

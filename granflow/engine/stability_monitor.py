@@ -113,7 +113,7 @@ def _conserves_energy(plan: Plan) -> bool:
     # Gravity along a periodic axis accelerates particles without limit.
     has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
     has_image_work = has_image_work or plan.features.lees_edwards
-    return walls_static and not has_image_work and not plan.features.moving_walls and not plan.law.attracts
+    return walls_static and not has_image_work and not plan.features.moving_walls and not plan.laws.attracts
 
 
 def largest_speed(velocity: np.ndarray) -> float:

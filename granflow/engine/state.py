@@ -65,7 +65,7 @@ class NeighborList(Fields):
     list_begin, list_end:  range of the entries of each particle
     list_walls_end:        end of its wall entries, which are first
     partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
-    history:               history of each entry by name: normal, tangential, rolling
+    history:               history of each entry by slot of the contact models
     in_contact:            state of each entry, see `contact_history`; only with a history
     saved:                 copy of the entries with a history while the particles are sorted
 
@@ -112,11 +112,7 @@ class PairBatch:
             columns(3 * features.rotation),
             columns(3 * features.rotation),
         )
-        self.normal_history = columns(plan.history.get("normal", 0))
-        self.tangential_displacement, self.rolling_displacement = (
-            columns(plan.history.get("tangential", 0)),
-            columns(plan.history.get("rolling", 0)),
-        )
+        self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
 

@@ -103,7 +103,10 @@ class ContactFrames(Frames):
     stem = "contacts"
 
     def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
-        """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts, with CONTACT_QUANTITIES."""
+        """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts.
+
+        Arrays: CONTACT_QUANTITIES, and history fields of contact models.
+        """
         contacts = snapshot.contacts or {}
         ends = [np.asarray(contacts.get(name, np.zeros((0, 3))), dtype=np.float64) for name in _CONTACT_POINTS]
         points = np.stack(ends, axis=1).reshape(-1, 3)
@@ -113,7 +116,8 @@ class ContactFrames(Frames):
             for name, quantity in CONTACT_QUANTITIES.items()
             if name in contacts and name not in _CONTACT_POINTS
         }
-        return mesh_of_cells("line", points, lines, arrays)
+        histories = {name: contacts[name].astype(np.float32) for name in contacts if name not in CONTACT_QUANTITIES}
+        return mesh_of_cells("line", points, lines, arrays | histories)
 
 
 class WallFrames(Frames):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.model import NormalLaw
+from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.load import Scene
@@ -17,7 +17,7 @@ from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rate
 from granflow.plan.meshes import notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import planned_outlets
-from granflow.plan.pair_cases import build_law, pair_cases_of, pair_materials, pair_table, solid
+from granflow.plan.pair_cases import active_models, build_laws, pair_cases_of, pair_materials, pair_table, solid
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import refuse_coarse
 from granflow.plan.scene_parts import planned_groups, planned_stages
@@ -59,9 +59,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
-    law = build_law(scene, velocity)
-    features = features_of(scene, law.rate_dependent)
-    pair_constants = pair_table(scene, law, materials)
+    laws = build_laws(scene, velocity)
+    law = laws.normal
+    features = features_of(scene, active_models(scene), law.rate_dependent)
+    pair_constants = pair_table(scene, laws, materials)
     radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
     radius_min, radius_max = min(radii), max(radii)
     refuse_coarse(scene, radius_min)
@@ -80,7 +81,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         features=features,
         reasons=reasons_for(scene, features),
         materials=materials,
-        law=law,
+        laws=laws,
         pair_materials=pair_materials(scene, materials),
         pair_constants=pair_constants,
         pair_cases=pair_cases,

@@ -75,7 +75,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         "Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it"
     )
     yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
-    if plan.law.least_restitution is not None:
+    if plan.law.limits_restitution:
         yield ExplainRow(
             "restitution",
             f"{step.least_restitution:.3g}",
@@ -146,19 +146,9 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
 
 
 def _history_text(plan: Plan) -> str:
-    """Names of the contact history fields of one neighbor-list entry."""
-    rolling = "rolling displacement" if plan.features.rolling == "epsd" else "rolling torque"
-    normal = ", ".join(_HISTORY_TEXTS.get(name, name.replace("_", " ")) for name in plan.law.history_names)
-    names = {"normal": normal, "tangential": "tangential displacement", "rolling": rolling}
-    return ", ".join(names[name] for name in plan.history) or "only the index of the other particle or wall"
-
-
-_HISTORY_TEXTS = {
-    "overlap_max": "maximum overlap",
-    "restitution": "restitution coefficient",
-    "recovery": "recovered fraction of the maximum overlap",
-}
-"""Texts for history fields with names that are not self-explanatory."""
+    """Descriptions of the contact history fields of one neighbor-list entry."""
+    texts = [each.description for fields in plan.laws.history.values() for each in fields]
+    return ", ".join(texts) or "only the index of the other particle or wall"
 
 
 def _run_rows(plan: Plan) -> Iterator[ExplainRow]:

@@ -1,8 +1,11 @@
 """Features: parts of the simulator that a scene needs, with reasons. All other parts are not compiled."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal
 
+from granflow.contact import registry
+from granflow.contact.model import ContactModel
+from granflow.contact.options import FRICTION
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
 from granflow.plan.walls import is_force_controlled
@@ -17,10 +20,12 @@ class Features:
     """
 
     friction: bool
-    rolling: Literal["none", "epsd", "cdt"]
+    rolling: str
+    """Name of the rolling model, or "none"."""
     rotation: bool
     rate_dependent: bool
-    cohesion: Literal["none", "sjkr"]
+    cohesion: str
+    """Name of the cohesion model, or "none"."""
     walls: bool
     moving_walls: bool
     force_controlled_walls: bool
@@ -47,22 +52,20 @@ class Reason:
     why: str
 
 
-def features_of(scene: Scene, law_is_damped: bool) -> Features:
+def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool) -> Features:
     """Derive all features from the scene.
 
-    `law_is_damped`: whether the normal contact model has a viscous term, so that forces depend on synchronized
-    velocities. Rotation is on only with friction or rolling friction: otherwise no torque exists.
+    `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous term, so
+    that forces depend on synchronized velocities. Rotation is on only with friction or rolling friction: otherwise no
+    torque exists.
     """
-    friction = any(pair.friction > 0.0 for pair in scene.pairs.values())
-    rolling, classes = scene.contact.rolling, size_classes(scene)
-    if not any(pair.rolling_friction for pair in scene.pairs.values()):
-        rolling = "none"
+    classes = size_classes(scene)
     return Features(
-        friction=friction,
-        rolling=rolling,
-        rotation=friction or rolling != "none",
+        friction="tangential" in models,
+        rolling=_name(models, "rolling"),
+        rotation="tangential" in models or "rolling" in models,
         rate_dependent=law_is_damped,
-        cohesion=cohesion_of(scene),
+        cohesion=_name(models, "cohesion"),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
         force_controlled_walls=any(is_force_controlled(wall) for wall in scene.walls.values()),
@@ -79,9 +82,8 @@ def features_of(scene: Scene, law_is_damped: bool) -> Features:
     )
 
 
-def cohesion_of(scene: Scene) -> Literal["none", "sjkr"]:
-    """Cohesion model of the scene; none if no pair has a cohesion energy density [J/m3] above 0."""
-    return scene.contact.cohesion if any(pair.cohesion_energy_density for pair in scene.pairs.values()) else "none"
+def _name(models: Mapping[str, ContactModel], slot: str) -> str:
+    return models[slot].name if slot in models else "none"
 
 
 def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
@@ -90,15 +92,15 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
     In the order of the fields of Features.
     """
     reasons = {
-        "friction": _first_pair(scene, "friction", features.friction),
-        "rolling": _rolling_reason(scene, features),
+        "friction": _model_reason(scene, "tangential", features.friction),
+        "rolling": _model_reason(scene, "rolling", features.rolling != "none"),
         "rotation": (
             "required by friction or rolling friction"
             if features.rotation
             else "no torques: every pair has friction and rolling friction 0"
         ),
         "rate_dependent": _rate_reason(scene, features),
-        "cohesion": _cohesion_reason(scene, features),
+        "cohesion": _model_reason(scene, "cohesion", features.cohesion != "none"),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
         "force_controlled_walls": _force_controlled_reason(scene, features),
@@ -130,24 +132,20 @@ def _setting(value: bool | str) -> str:
     return "off" if value == "none" else value
 
 
-def _first_pair(scene: Scene, key: str, on: bool) -> str:
-    """The first pair of the scene with a value of `key` above 0, or a statement that all have 0."""
+def _model_reason(scene: Scene, slot: str, on: bool) -> str:
+    """The first pair with a value other than 0 of a pair option of the model, or why the model is not active."""
+    model = registry.models(slot).get(scene.contact.name(slot))
+    keys = [option.key for option in model.pair_options] if model else []
+    if slot == "tangential":
+        keys = keys or [FRICTION.key]
+    elif model is None:
+        return f"contact.{slot} is none ({scene.where('contact', slot)})"
+    if not keys:
+        return f"contact.{slot} is {scene.contact.name(slot)} ({scene.where('contact', slot)})"
     if not on:
-        return f"every pair has {key} 0"
-    name, pair = next((name, pair) for name, pair in scene.pairs.items() if getattr(pair, key))
-    return f"pairs.{name}.{key} is {getattr(pair, key):g} ({scene.where('pairs', name, key)})"
-
-
-def _rolling_reason(scene: Scene, features: Features) -> str:
-    if scene.contact.rolling == "none":
-        return f"contact.rolling is none ({scene.where('contact', 'rolling')})"
-    return _first_pair(scene, "rolling_friction", features.rolling != "none")
-
-
-def _cohesion_reason(scene: Scene, features: Features) -> str:
-    if scene.contact.cohesion == "none":
-        return "contact.cohesion is none"
-    return _first_pair(scene, "cohesion_energy_density", features.cohesion != "none")
+        return f"every pair has {' and '.join(keys)} 0"
+    name, key = next((name, key) for name, pair in scene.pairs.items() for key in keys if getattr(pair, key))
+    return f"pairs.{name}.{key} is {getattr(scene.pairs[name], key):g} ({scene.where('pairs', name, key)})"
 
 
 def _rate_reason(scene: Scene, features: Features) -> str:
@@ -155,7 +153,7 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     normal = scene.contact.normal
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous term"
-    damping_ratio = normal.settings().get("damping_ratio")
+    damping_ratio = scene.contact.options("normal").get("damping_ratio")
     if damping_ratio is not None:
         return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
     return (

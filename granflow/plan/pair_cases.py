@@ -1,10 +1,14 @@
-"""Properties of the material pairs and possible contacts of a scene."""
+"""Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the time step."""
 
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from granflow.contact.cohesion.cohesion import COHESIONS
+from granflow.contact import registry
+from granflow.contact.law import ModelRequest
+from granflow.contact.laws import ContactLaws
 from granflow.contact.material import (
     PairMaterial,
     Solid,
@@ -14,26 +18,48 @@ from granflow.contact.material import (
     shear_modulus_eff,
     yield_strength,
 )
-from granflow.contact.model import ModelRequest, NormalLaw
+from granflow.contact.model import SLOTS, ContactModel
 from granflow.errors import SceneError
 from granflow.load import Scene
-from granflow.plan.features import cohesion_of
 from granflow.plan.size_classes import diameter_range
 from granflow.plan.time_step import PairCase
-from granflow.scene.schema.materials import RestitutionFit
+from granflow.scene.schema.materials import MaterialPair, RestitutionFit
 from granflow.scene.schema.particles import Group
 
 
-def build_law(scene: Scene, velocity: float) -> NormalLaw:
-    """The normal contact model of the scene, extended by its cohesion model if any pair has cohesion.
+def active_models(scene: Scene) -> dict[str, ContactModel]:
+    """The contact models of the scene by slot.
 
-    `velocity` [m/s]: maximum expected impact velocity, for which the model may compute its constants.
+    A model with pair options is active only if a pair has a value other than 0; slots without an active model are
+    absent.
     """
-    normal = scene.contact.normal
+    found = {}
+    for slot in SLOTS:
+        name = scene.contact.name(slot)
+        model = registry.models(slot).get(name)
+        if model is not None and _acts(model, scene.pairs.values()):
+            found[slot] = model
+    return found
+
+
+def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
+    """Whether a model acts between any of the pairs."""
+    return not model.pair_options or any(getattr(pair, option.key) for pair in pairs for option in model.pair_options)
+
+
+def build_laws(scene: Scene, velocity: float) -> ContactLaws:
+    """The contact laws of the scene.
+
+    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants.
+    """
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
-    law = normal.kind.build(ModelRequest(normal.settings(), pairs, velocity, scene.numerics.unloading_angle))
-    cohesion = cohesion_of(scene)
-    return law if cohesion == "none" else COHESIONS[cohesion](law)
+    laws: dict[str, Any] = {}
+    for slot, model in active_models(scene).items():
+        request = ModelRequest(
+            scene.contact.options(slot), pairs, velocity, scene.numerics.unloading_angle, scene.output.energy_budget
+        )
+        laws[slot] = model.law.from_scene(request)
+    return ContactLaws(**laws)
 
 
 def solid(scene: Scene, material: str) -> Solid:
@@ -58,10 +84,17 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
         restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
     else:
         restitution = given
-    rolling = pair.rolling_friction or 0.0
-    cohesion = pair.cohesion_energy_density or 0.0
+    models = active_models(scene)
+    surface = [models[slot] for slot in ("tangential", "rolling") if slot in models]
+    options = {key: getattr(pair, key) or 0.0 for key in registry.pair_options()}
     return PairMaterial(
-        modulus_eff(a, b), shear_modulus_eff(a, b), restitution, pair.friction, rolling, yield_strength(a, b), cohesion
+        modulus_eff(a, b),
+        shear_modulus_eff(a, b),
+        restitution,
+        pair.friction,
+        yield_strength(a, b),
+        options,
+        has_tangential_force=any(_acts(model, [pair]) for model in surface),
     )
 
 
@@ -71,30 +104,25 @@ def pair_materials(scene: Scene, materials: tuple[str, ...]) -> dict[tuple[str, 
     return {both: pair_material(scene, *both) for both in names if scene.pair_key(*both) in scene.pairs}
 
 
-def pair_table(scene: Scene, law: NormalLaw, materials: tuple[str, ...]) -> np.ndarray:
-    """Constants of each pair of materials (materials^2, constants + 2); NaN for pairs without contacts.
+def pair_table(scene: Scene, laws: ContactLaws, materials: tuple[str, ...]) -> np.ndarray:
+    """Constants of each pair of materials (materials^2, constants); NaN for pairs without contacts.
 
-    Row i * materials + j. The last two columns are friction and rolling friction. Raises SceneError if the contact
-    model cannot reach the restitution of a pair.
+    Row i * materials + j, columns as in `ContactLaws.constant_names`. Raises SceneError if a contact model does not
+    support a pair.
     """
     count = len(materials)
-    table = np.full((count * count, len(law.constant_names) + 2), np.nan)
+    table = np.full((count * count, sum(map(len, laws.constant_names.values()))), np.nan)
     for i, first in enumerate(materials):
         for j, second in enumerate(materials):
             if scene.pair_key(first, second) in scene.pairs:
-                pair = pair_material(scene, first, second)
-                table[i * count + j] = (
-                    *_law_constants(scene, law, first, second),
-                    pair.friction,
-                    pair.rolling_friction,
-                )
+                table[i * count + j] = _constants(scene, laws, first, second)
     return table
 
 
-def _law_constants(scene: Scene, law: NormalLaw, first: str, second: str) -> tuple[float, ...]:
-    """Constants of the contact model for a pair. Raises SceneError if it cannot reach the restitution."""
+def _constants(scene: Scene, laws: ContactLaws, first: str, second: str) -> tuple[float, ...]:
+    """Row of the pair constants. Raises SceneError if the contact model cannot reach the restitution."""
     try:
-        return law.pair_constants(pair_material(scene, first, second))
+        return laws.pair_constants(pair_material(scene, first, second))
     except ValueError as error:
         key = scene.pair_key(first, second)
         location = scene.locate("pairs", key, "restitution")

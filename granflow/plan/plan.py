@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from granflow.contact.law import NormalLaw
+from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.model import NormalLaw
 from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
@@ -75,13 +76,13 @@ class Plan:
     """Largest radius [m] of each size class, in ascending order."""
     solids: Mapping[str, Solid]
     """Constants of all materials of the scene by name, in its order, to which `ParticleData.material` refers."""
+    laws: ContactLaws
     materials: tuple[str, ...]
     """Names of the materials in plan order, those of particles first."""
-    law: NormalLaw
     pair_materials: Mapping[tuple[str, str], PairMaterial]
     """Constants of each two materials that can come into contact, by their names in either order."""
     pair_constants: np.ndarray
-    """(materials^2, constants): constants of the contact model, friction, rolling friction."""
+    """(materials^2, constants): constants of the contact laws, in the order of `laws.constant_names`."""
     pair_cases: tuple[PairCase, ...]
     """The possible contacts."""
     particle_capacity: int
@@ -140,14 +141,9 @@ class Plan:
         return self.impact_velocity.value
 
     @property
-    def friction_index(self) -> int:
-        """Index of the friction coefficient in the pair constants."""
-        return len(self.law.constant_names)
-
-    @property
-    def rolling_index(self) -> int:
-        """Index of the rolling friction coefficient in the pair constants."""
-        return self.friction_index + 1
+    def law(self) -> NormalLaw:
+        """The normal contact law."""
+        return self.laws.normal
 
     @property
     def has_walls(self) -> bool:
@@ -156,16 +152,8 @@ class Plan:
 
     @property
     def history(self) -> dict[str, int]:
-        """Contact history: name of the field -> number of components.
-
-        "normal": fields of the contact model; "tangential": tangential displacement [m]; "rolling": rolling
-        displacement or torque. Fields without components are absent; an empty dictionary means that no history is
-        stored.
-        """
-        sizes = {"normal": self.law.history_count, "tangential": 3 * self.features.friction}
-        saved_models = ("epsd", "cdt") if self.features.energy_budget else ("epsd",)
-        sizes["rolling"] = 3 * (self.features.rolling in saved_models)
-        return {name: size for name, size in sizes.items() if size}
+        """Contact history: slot of the contact model -> number of components; slots without history are absent."""
+        return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
 
     @property
     def chunk_capacity(self) -> int:

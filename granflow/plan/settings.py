@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from granflow.load import Scene
-from granflow.scene.schema.normal import LawSettings
+from granflow.scene.schema.contact import LawSettings
 
 KeyPath = tuple[str | int, ...]
 """Keys and list indices from the root of a scene."""
@@ -81,7 +81,11 @@ def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
     """Origin of a value that the file does not give."""
     if _is_preset(scene, model, path):
         return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
-    if isinstance(model, LawSettings) and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1])):
+    if (
+        isinstance(model, LawSettings)
+        and path[:2] == ("contact", "normal")
+        and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1]))
+    ):
         return "the restitution of every pair is a number, independent of the velocity"
     return _REASONS.get(path[-1], "default")
 

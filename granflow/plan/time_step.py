@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
+from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.model import NormalLaw
 from granflow.plan.travel import STEP_SHARE
 
 MAX_CONTACTS = 12
@@ -158,8 +158,11 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
     normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
-    has_friction = pair_case.pair.friction > 0.0 or pair_case.pair.rolling_friction > 0.0
-    stiffness_ratio = 4.0 * pair_case.pair.shear_modulus_eff / pair_case.pair.modulus_eff if has_friction else 0.0
+    stiffness_ratio = (
+        4.0 * pair_case.pair.shear_modulus_eff / pair_case.pair.modulus_eff
+        if pair_case.pair.has_tangential_force
+        else 0.0
+    )
     tangential, viscosity = stiffness_ratio * law.loading_stiffness(*pair_arguments), law.viscosity(*pair_arguments)
     margin = 4.0 - normal_modes * law.unloading_angle**2
     steps = (
@@ -200,7 +203,7 @@ def _restitution_reached(
     `step` [s], `velocity` [m/s]. The sentence of a pair names its contact with the largest difference; contacts that
     cannot occur are ignored. (0, ()) for a contact model that reproduces every restitution.
     """
-    if law.least_restitution is None:
+    if not law.limits_restitution:
         return 0.0, ()
     least, worst = 0.0, dict[str, tuple[float, float, str]]()
     for pair_case in pair_cases:

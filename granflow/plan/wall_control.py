@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from granflow.contact.model import NormalLaw
+from granflow.contact.law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import unit

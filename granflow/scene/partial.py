@@ -97,6 +97,12 @@ def _without_required_keys() -> type[BaseModel]:
     return create_model("PartialSections", __config__=SceneInput.model_config, **fields)
 
 
+def clear_schema() -> None:
+    """Clear what was derived from the schema; required after a change of the schema."""
+    _several.cache_clear()
+    _without_required_keys.cache_clear()
+
+
 def _faults(value: Any, path: KeyPath) -> Iterator[Fault]:
     """Faults of a value and of all models in it, depth first, with key paths from the root."""
     if isinstance(value, Model):

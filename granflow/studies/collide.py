@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
 from granflow.studies.collision_bench import Collision, CollisionBench
@@ -47,7 +47,7 @@ def collide(
     _refuse_unphysical(sizes, velocity, steps_per_contact)
     _refuse_restitution(law, materials, restitution)
     pair = {"friction": 0} | _restitution_given(law, materials, restitution)
-    normal = {"law": law, **NORMAL_LAWS[law].example} | _settings(settings)
+    normal = {"law": law, **models("normal")[law].example} | _settings(settings)
     radius, other = 0.5 * diameter, None if wall else 0.5 * sizes[1]
 
     def bench(**run: Any) -> CollisionBench:
@@ -103,9 +103,9 @@ def _settings(given: Sequence[str]) -> dict[str, Any]:
 
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     """Raise GranflowError for an unknown contact model or preset, with a suggestion."""
-    if law not in NORMAL_LAWS:
+    if law not in models("normal"):
         raise GranflowError(
-            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, NORMAL_LAWS, 'contact models'))}"
+            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, models('normal'), 'contact models'))}"
         )
     for name in materials:
         if name not in PRESETS:
@@ -136,7 +136,7 @@ def _refuse_restitution(law: str, materials: tuple[str, str], restitution: float
 
     Depending on the model, a restitution is required, must be above 0, or must not be given.
     """
-    kind = NORMAL_LAWS[law]
+    kind = models("normal")[law]
     if restitution is not None and not 0.0 <= restitution <= 1.0:
         raise GranflowError(f"restitution is {restitution:g}, but must be in [0, 1].")
     if kind.restitution == "nothing":
@@ -159,7 +159,7 @@ def _restitution_given(law: str, materials: tuple[str, str], restitution: float 
 
     Raises GranflowError if it is neither given nor known for the preset.
     """
-    if NORMAL_LAWS[law].restitution == "nothing":
+    if models("normal")[law].restitution == "nothing":
         return {}
     if restitution is not None:
         return {"restitution": restitution}

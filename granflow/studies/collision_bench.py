@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow import ParticleData, Plan, Scene, Simulation, plan_for
 from granflow.contact.material import PairMaterial
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.scene.schema.run import LARGEST_OVERLAP
 
 LONGEST = 20.0
@@ -270,7 +270,7 @@ def _all_pairs(collisions: Sequence[Collision], pairs: Settings, contact: Settin
     """Given entries, and those of other materials, which a scene requires although their particles do not touch."""
     elastic: dict[str, Any] = {"friction": 0.0, "restitution": 1.0}
     normal = contact["normal"]
-    if NORMAL_LAWS[normal if isinstance(normal, str) else normal["law"]].restitution == "nothing":
+    if models("normal")[normal if isinstance(normal, str) else normal["law"]].restitution == "nothing":
         del elastic["restitution"]
     found, counts = {}, _particle_counts(collisions)
     used = dict.fromkeys(name for each in collisions for name in (each.first, each.second))

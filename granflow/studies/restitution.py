@@ -231,7 +231,7 @@ def _impact(scene: Scene, plan: Plan, pair: Collision, velocity: float) -> _Impa
 
 def _unreachable(plan: Plan, impact: _Impact) -> bool:
     """Whether the given restitution is 0 or below the minimum of the time step, for which the plan has a warning."""
-    if plan.law.least_restitution is None or impact.requested == 0.0:
+    if not plan.law.limits_restitution or impact.requested == 0.0:
         return impact.requested == 0.0
     collision = (impact.material, impact.radius_eff, impact.mass_eff, impact.velocity)
     return impact.requested < plan.law.least_restitution(*collision, plan.time_step)

@@ -3,15 +3,18 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import taichi as ti
 
-from granflow.contact.cohesion.cohesion import with_sjkr
-from granflow.contact.complete_force import complete_force
+from granflow.contact.cohesion.sjkr import Sjkr
+from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
-from granflow.contact.model import ModelRequest, NormalLaw
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
+from granflow.engine.force.pair_force import build_normal_force
+from granflow.engine.force.structs import build_constants, build_read_slots, build_slot_vector
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,8 @@ def pair_of(restitution, units):
     """The pair material of a case in the given units."""
     yield_strength = YIELD_STRENGTH * units.pascal if restitution is no_restitution else None
     elastic = (MODULUS * units.pascal, SHEAR_MODULUS * units.pascal)
-    cohesion = COHESION * units.pascal
-    return PairMaterial(
-        *elastic, restitution(units), 0.0, yield_strength=yield_strength, cohesion_energy_density=cohesion
-    )
+    options = {"cohesion_energy_density": COHESION * units.pascal}
+    return PairMaterial(*elastic, restitution(units), 0.0, yield_strength=yield_strength, options=options)
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Case:
     """One normal model with its settings, in any units."""
 
     name: str
-    build: Callable[[Units], NormalLaw]
+    build: Callable[[Units], ContactLaws]
     restitution: Callable[[Units], float | VelocityRestitution | None]
     plastic: bool = False
     """Whether unloading differs from loading."""
@@ -88,13 +89,16 @@ class Case:
     def pair(self, units=SI):
         return pair_of(self.restitution, units)
 
+    def laws(self, units=SI):
+        return laws_of(self, units)
+
     def law(self, units=SI):
-        return law_of(self, units)
+        return self.laws(units).normal
 
 
 @cache
-def law_of(case, units):
-    """The model of a case, built once per system of units."""
+def laws_of(case, units):
+    """The models of a case, built once per system of units."""
     return case.build(units)
 
 
@@ -102,9 +106,9 @@ def request(name, restitution, settings=lambda units: {}):
     """A function that builds the model of that name with the settings of a scene."""
 
     def build(units):
-        given = {key: each.default for key, each in NORMAL_LAWS[name].settings.items()} | settings(units)
-        pair = pair_of(restitution, units)
-        return NORMAL_LAWS[name].build(ModelRequest(given, (pair,), units.velocity, ANGLE))
+        model, pair = models("normal")[name], pair_of(restitution, units)
+        given = {key: each.default for key, each in model.options.items()} | settings(units)
+        return ContactLaws(model.law.from_scene(ModelRequest(given, (pair,), units.velocity, ANGLE)))
 
     return build
 
@@ -145,7 +149,12 @@ def case(name, law, restitution, settings=lambda units: {}, **marks):
 
 def adhesive(plain):
     """The same normal model with sjkr cohesion."""
-    return replace(plain, name=f"sjkr_{plain.name}", build=lambda units: with_sjkr(plain.build(units)), adhesive=True)
+    return replace(
+        plain,
+        name=f"sjkr_{plain.name}",
+        build=lambda units: replace(plain.build(units), cohesion=Sjkr()),
+        adhesive=True,
+    )
 
 
 def zhou(restitution_at, damping_ratio=0.0):
@@ -211,23 +220,67 @@ def evaluate_path(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_
 
     With a time step of 0 [s] the model does not average over a step and equals the formulas of its source.
     """
-    law = case.law(units)
+    laws = case.laws(units)
     shape = overlap.shape
     found = [np.zeros(shape) for _ in range(5)]
-    history = np.zeros((*shape, max(law.history_count, 1)))
-    constants = np.array(law.pair_constants(case.pair(units)))
+    history = np.zeros((*shape, max(laws.normal.history_count, 1)))
+    constants = np.array(laws.pair_constants(case.pair(units)))
     pair_arguments = (radius * units.meter, mass * units.kilogram, time_step * units.second)
     given = (overlap * units.meter, rate * units.velocity)
-    kernel_for(law, len(constants))(
+    kernel_for(laws, len(constants))(
         constants, *pair_arguments, *(np.ascontiguousarray(g) for g in given), *found, history
     )
     return PathResult(*found, history)
 
 
+def single_contact(laws, constant_count):
+    """Device functions for one contact in a test kernel: constants, contact, history, force, energies of the laws."""
+    constants_of, normal_force_of = build_constants(laws), build_normal_force(laws, False)
+    size, slot_vector = max(laws.normal.history_count, 1), build_slot_vector(laws, "normal")
+    counts = {slot: law.history_count for slot, law in laws.by_slot.items() if law.history_count}
+
+    @ti.func
+    def zeros(slot: ti.template(), first, second):
+        return ti.Vector.zero(ti.f64, ti.static(counts[slot]))
+
+    read_slots = build_read_slots(laws, zeros, counts)
+
+    @ti.func
+    def read_constants(numbers: ti.template()):
+        return constants_of(ti.Vector([numbers[k] for k in ti.static(range(constant_count))]))
+
+    @ti.func
+    def new_history():
+        return read_slots(0, 0)
+
+    @ti.func
+    def contact_of(radius, mass, dt, overlap, rate):
+        return ti.Struct(radius_eff=radius, mass_eff=mass, time_step=dt, overlap=overlap, overlap_rate=rate)
+
+    @ti.func
+    def energies(constants, contact, history):
+        stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
+        lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
+        if ti.static(laws.has_cohesion):
+            stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
+            lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+        return stored, lost
+
+    @ti.func
+    def history_vector(history):
+        vector = ti.Vector.zero(ti.f64, size)
+        if ti.static("normal" in counts):
+            vector = slot_vector(history.normal)
+        return vector
+
+    return read_constants, new_history, contact_of, normal_force_of, energies, history_vector
+
+
 @cache
-def kernel_for(law, constant_count):
+def kernel_for(laws, constant_count):
     """A kernel that evaluates contacts along their overlaps."""
-    history_size, force_of = max(law.history_count, 1), complete_force(law)
+    read_constants, new_history, contact_of, force_of, energies, history_vector = single_contact(laws, constant_count)
+    history_size = max(laws.normal.history_count, 1)
     table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
 
     @ti.kernel
@@ -236,30 +289,36 @@ def kernel_for(law, constant_count):
         force: table, viscous: table, repulsion: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
-            constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
-            history_now = ti.Vector.zero(ti.f64, history_size)
+            constants, history_now = read_constants(numbers), new_history()
             for s in range(overlap.shape[1]):
-                d = overlap[i, s]
-                if d > 0.0:
-                    f, v, history_now = force_of(constants, radius, mass, dt, d, rate[i, s], history_now)
-                    force[i, s], viscous[i, s], repulsion[i, s] = f, v, f
-                    if ti.static(law.attracts):
-                        repulsion[i, s] = f + law.attraction(constants, radius, d, history_now)
-                    stored[i, s] = law.stored_energy(constants, radius, mass, dt, d, history_now)
-                    lost[i, s] = law.lost_energy(constants, radius, mass, dt, d, history_now)
+                contact = contact_of(radius, mass, dt, overlap[i, s], rate[i, s])
+                if contact.overlap > 0.0:
+                    f, load, v, history_new = force_of(constants, contact, history_now)
+                    history_now = history_new
+                    force[i, s], viscous[i, s], repulsion[i, s] = f, v, load
+                    stored[i, s], lost[i, s] = energies(constants, contact, history_now)
                 else:
-                    history_now = 0.0 * history_now
+                    history_now = new_history()
+                vector = history_vector(history_now)
                 for k in ti.static(range(history_size)):
-                    history[i, s, k] = history_now[k]
+                    history[i, s, k] = vector[k]
 
     return evaluate
 
 
 def evaluate_reference(case, overlap, rate):
     """Force, force at an overlap larger by a relative `PERTURBATION`, and history of the numpy reference."""
-    law = case.law()
-    constants = np.array(law.pair_constants(case.pair()))
+    law, cohesion, pair = case.law(), case.laws().cohesion, case.pair()
+    constants = np.array(law.pair_constants(pair))
     size = max(law.history_count, 1)
+
+    def attraction(d):
+        """Attraction [N] of the cohesion model."""
+        if cohesion is None:
+            return 0.0
+        named = SimpleNamespace(**dict(zip(cohesion.constant_names, cohesion.pair_constants(pair), strict=True)))
+        return cohesion.reference(ContactState(named, RADIUS, MASS, TIME_STEP, d, 0.0, SimpleNamespace()))[0]
+
     force, perturbed, history = np.zeros(overlap.shape), np.zeros(overlap.shape), np.zeros((*overlap.shape, size))
     for i in range(len(overlap)):
         history_new = np.zeros(size)
@@ -268,6 +327,8 @@ def evaluate_reference(case, overlap, rate):
                 pair_arguments = (constants, RADIUS, MASS, TIME_STEP)
                 force[i, s], history_new = law.reference_force(*pair_arguments, d, v, history_new)
                 perturbed[i, s], _ = law.reference_force(*pair_arguments, d * (1.0 + PERTURBATION), v, history_new)
+                force[i, s] -= attraction(d)
+                perturbed[i, s] -= attraction(d * (1.0 + PERTURBATION))
             else:
                 history_new = np.zeros(size)
             history[i, s] = history_new

@@ -5,9 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import taichi as ti
-from contact.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path
-
-from granflow.contact.complete_force import complete_force
+from contact.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path, single_contact
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 
@@ -16,9 +14,10 @@ TABLE = ti.types.ndarray(ti.f64, 1)
 
 
 @cache
-def kernel_for(law, constant_count):
+def kernel_for(laws, constant_count):
     """A kernel that integrates one collision per velocity with the leapfrog scheme of the engine."""
-    history_size, force_of = max(law.history_count, 1), complete_force(law)
+    read_constants, new_history, contact_of, force_of, energies, _ = single_contact(laws, constant_count)
+    law = laws.normal
     since_separation = (
         1.0 if law.name == "zhou" else 0.5
     )  # steps; a force averaged over the step ends half a step later
@@ -29,8 +28,7 @@ def kernel_for(law, constant_count):
         rebound: TABLE, duration: TABLE, lost: TABLE
     ):  # fmt: skip
         for i in range(velocity.shape[0]):
-            constants = ti.Vector([numbers[k] for k in ti.static(range(constant_count))])
-            history = ti.Vector.zero(ti.f64, history_size)
+            constants, history = read_constants(numbers), new_history()
             overlap, half, force, viscous_work, time = start[i] * dt[i] * velocity[i], velocity[i], 0.0, 0.0, 0.0
             over, free = 0, 0
             for _ in range(limit):
@@ -39,7 +37,9 @@ def kernel_for(law, constant_count):
                     if ti.static(law.rate_dependent):
                         rate = half - 0.5 * dt[i] * force / mass
                     before = force
-                    force, viscous, history = force_of(constants, radius, mass, dt[i], overlap, rate, history)
+                    contact = contact_of(radius, mass, dt[i], overlap, rate)
+                    force, _load, viscous, history_new = force_of(constants, contact, history)
+                    history = history_new
                     viscous_work += viscous * rate * dt[i]
                     if force == 0.0 and before > 0.0:
                         free = 1
@@ -52,7 +52,8 @@ def kernel_for(law, constant_count):
                     overlap += dt[i] * half
                     time += dt[i]
             rebound[i] = -half
-            lost[i] = viscous_work + law.lost_energy(constants, radius, mass, dt[i], 0.0, history)
+            _stored, lost_in_history = energies(constants, contact_of(radius, mass, dt[i], 0.0, 0.0), history)
+            lost[i] = viscous_work + lost_in_history
 
     return collide
 
@@ -67,9 +68,9 @@ def collisions(case, steps, phases=7, velocities=VELOCITIES):
     expected = np.repeat([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in velocities], phases)
     start = np.tile((np.arange(phases) + 0.5) / phases, len(velocities))
     found = [np.zeros(len(velocity)) for _ in range(3)]
-    constants = np.array(law.pair_constants(pair))
+    constants = np.array(case.laws().pair_constants(pair))
     step = expected / steps
-    kernel_for(law, len(constants))(constants, RADIUS, MASS, velocity, start, step, 4 * steps, *found)
+    kernel_for(case.laws(), len(constants))(constants, RADIUS, MASS, velocity, start, step, 4 * steps, *found)
     rebound, duration, lost = found
     energy = 0.5 * MASS * velocity**2
     missing = (energy - 0.5 * MASS * rebound**2 - lost) / energy
@@ -86,7 +87,7 @@ def expected_restitution(case, steps):
     """Restitution of the model, or the smallest that it reaches with this number of steps: (velocities, 1)."""
     law, pair = case.law(), case.pair()
     found = np.array([law.restitution(pair, RADIUS, MASS, v) for v in VELOCITIES])
-    if law.least_restitution is not None:
+    if law.limits_restitution:
         durations = np.array([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in VELOCITIES])
         least = [
             law.least_restitution(pair, RADIUS, MASS, *each) for each in zip(VELOCITIES, durations / steps, strict=True)

@@ -15,7 +15,7 @@ from contact.cases import (
     random_paths,
 )
 
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 every_continuous_law = pytest.mark.parametrize("case", CONTINUOUS, ids=str)
@@ -38,7 +38,7 @@ def grid_paths(contacts, steps, seed=3):
 
 
 def test_every_law_of_the_catalog_has_a_case():
-    assert {case.law().name for case in CASES} == set(NORMAL_LAWS)
+    assert {case.law().name for case in CASES} == set(models("normal"))
 
 
 @every_law
@@ -62,7 +62,7 @@ def test_only_attractive_models_have_tension(taichi_f64, case):
     """The repulsion is never below 0, and it equals the total force of models without attraction."""
     overlap, rate = random_paths(contacts=2000, steps=80, seed=2)
     found = evaluate_path(case, overlap, rate)
-    attracts = case.law().attracts
+    attracts = case.laws().attracts
     assert found.repulsion.min() >= (-1e-15 * found.force.max() if attracts else 0.0)
     assert bool(found.force.min() < 0.0) == attracts
     assert found.force.max() > 0.0

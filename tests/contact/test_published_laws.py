@@ -5,10 +5,10 @@ import pytest
 from contact.cases import CASES, MASS, RADIUS, SHEAR_MODULUS, SI, evaluate_path
 from scipy.integrate import solve_ivp
 
+from granflow.contact.law import ModelRequest
 from granflow.contact.material import PairMaterial, Solid, modulus_eff
-from granflow.contact.model import ModelRequest
 from granflow.contact.normal.kuwabara_kono import dissipation_for, rebound_of
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 
 STEEL = Solid(193e9, 0.35, 8030.0, 0.310e9)
 BY_NAME = {case.name: case for case in CASES}
@@ -16,7 +16,7 @@ BY_NAME = {case.name: case for case in CASES}
 
 def law_of(name, pair, **settings):
     """The normal model of that name for one pair."""
-    return NORMAL_LAWS[name].build(ModelRequest(settings, (pair,), 1.0, 0.5))
+    return models("normal")[name].law.from_scene(ModelRequest(settings, (pair,), 1.0, 0.5))
 
 
 def terminal(event):
@@ -169,15 +169,3 @@ def test_kuwabara_kono_expansion_has_the_published_coefficients():
 def test_kuwabara_kono_rejects_unreachable_restitution(e):
     with pytest.raises(ValueError, match=r"restitution"):
         dissipation_for(e)
-
-
-@pytest.mark.parametrize("name", list(NORMAL_LAWS))
-def test_every_model_describes_its_constants_limits_and_source(name):
-    kind = NORMAL_LAWS[name]
-    given = {key: each.default for key, each in kind.settings.items()} | dict(kind.example)
-    pair = PairMaterial(4e7, SHEAR_MODULUS, None if kind.restitution == "nothing" else 0.7, 0.0, yield_strength=1e6)
-    law = kind.build(ModelRequest(given, (pair,), 1.0, 0.5))
-    assert law.name == name
-    assert len(law.pair_constants(pair)) == len(law.constant_names)
-    assert len(law.limits) > 20 and not law.limits.endswith(".")
-    assert any(character.isdigit() for character in law.source), "the source contains a year"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import taichi as ti
 
-from granflow.contact.rolling.rolling import STOPPED_SHARE, directional_torque
-from granflow.contact.tangential import mindlin
+from granflow.contact.rolling.cdt import STOPPED_SHARE, directional_torque
+from granflow.contact.tangential import spring
 
 VECTORS = ti.types.ndarray(ti.f64, 2)
 NUMBERS = ti.types.ndarray(ti.f64, 1)
@@ -19,8 +19,8 @@ def stretch(
     for i in range(force_max.shape[0]):
         before = ti.Vector([displacement_before[i, 0], displacement_before[i, 1], displacement_before[i, 2]])
         increment = ti.Vector([step[i, 0], step[i, 1], step[i, 2]])
-        spring_force, after = mindlin.elastic_plastic_spring(stiffness[i], share[i], force_max[i], before, increment)
-        lost[i] = mindlin.spring_loss(stiffness[i], share[i], before, increment, spring_force, after)
+        spring_force, after = spring.elastic_plastic_spring(stiffness[i], share[i], force_max[i], before, increment)
+        lost[i] = spring.spring_loss(stiffness[i], share[i], before, increment, spring_force, after)
         for k in ti.static(range(3)):
             force[i, k], spring_history[i, k] = spring_force[k], after[k]
 
@@ -31,7 +31,7 @@ def rotate(displacement: VECTORS, normal: VECTORS, middle: VECTORS, rotated: VEC
         s = ti.Vector([displacement[i, 0], displacement[i, 1], displacement[i, 2]])
         n = ti.Vector([normal[i, 0], normal[i, 1], normal[i, 2]])
         m = ti.Vector([middle[i, 0], middle[i, 1], middle[i, 2]])
-        result = mindlin.rotated_displacement(s, n, m)
+        result = spring.rotated_displacement(s, n, m)
         for k in ti.static(range(3)):
             rotated[i, k] = result[k]
 
@@ -75,7 +75,7 @@ def test_spring_on_the_device_equals_its_reference_within_4_ulps(taichi_f64):
     springs = random_springs()
     force, spring_history, _ = stretched(*springs)
     for i, numbers in enumerate(zip(*springs, strict=True)):
-        expected = mindlin.reference_spring(*numbers)
+        expected = spring.reference_spring(*numbers)
         for found, given in zip((force[i], spring_history[i]), expected, strict=True):
             assert np.abs(found - given).max() <= 4.0 * np.finfo(float).eps * np.linalg.norm(given)
 

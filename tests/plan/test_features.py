@@ -96,7 +96,7 @@ def test_cohesion_is_disabled_if_no_pair_is_cohesive(tmp_path, density, setting)
     text = text.replace("rolling_friction: 0}", f"rolling_friction: 0, cohesion_energy_density: {density}}}")
     plan = plan_for(scene_of(tmp_path, text=text))
     assert {reason.feature: reason.setting for reason in plan.reasons}["cohesion"] == setting
-    assert plan.law.attracts == (setting == "sjkr")
+    assert plan.laws.attracts == (setting == "sjkr")
 
 
 def test_unused_materials_are_omitted(tmp_path):

@@ -8,8 +8,8 @@ import pytest
 from plan.scenes import TEXT, line_of, scene_of
 
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.normal import linear
-from granflow.contact.spring import build_spring
+from granflow.contact.normal.linear import Linear
+from granflow.contact.spring import Spring
 from granflow.contact.theory import damping_ratio_for
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
@@ -103,7 +103,7 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     """Eigenvalues of one step: the velocity lags by half a step; the viscous force uses it and the last kick."""
     zeta = damping_ratio_for(restitution)
     stiffness = 1e4
-    law = linear.build(build_spring(stiffness, None, 0.0, 0))
+    law = Linear(Spring(stiffness, None, 0.0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Solid(1e9, 0.25, 2500.0, None)
     allowed = stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99

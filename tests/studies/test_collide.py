@@ -2,7 +2,7 @@
 
 import pytest
 
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.errors import GranflowError
 from granflow.studies.collide import collide
 
@@ -10,10 +10,10 @@ STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", NORMAL_LAWS)
+@pytest.mark.parametrize("law", models("normal"))
 def test_collision_matches_the_closed_forms(taichi_f64, law):
     """At 200 steps: e within 0.1 % (0.2 % if the damping force starts with a jump), other quantities within 0.5 %."""
-    needed = NORMAL_LAWS[law].restitution != "nothing"
+    needed = models("normal")[law].restitution != "nothing"
     found = collide(law, restitution=0.7 if needed else None, steps_per_contact=200, **STEEL)
     assert found["restitution"] == pytest.approx(found["restitution_asked"], rel=2e-3 if law == "linear" else 1e-3)
     for name in ("duration", "overlap_max", "force_max"):

@@ -37,14 +37,14 @@ def collisions(arch: str, precision: str) -> list[dict[str, Any]]:
 
     The error of a collision of n steps is about 1/n, plus the resolution of positions over the overlap.
     """
-    from granflow.contact.registry import NORMAL_LAWS
+    from granflow.contact.registry import models
     from granflow.studies.collide import collide
 
     logging.getLogger("granflow").setLevel(logging.ERROR)  # f32 logs a warning; the limit includes its resolution
     found, diameter = [], 4e-3
     resolved = EPS[precision] * diameter * (10.0 if precision == "f32" else 1.0)
-    for law, wall in [*((law, False) for law in NORMAL_LAWS), ("zhou", True)]:
-        requested: dict[str, Any] = {} if NORMAL_LAWS[law].restitution == "nothing" else {"restitution": 0.7}
+    for law, wall in [*((law, False) for law in models("normal")), ("zhou", True)]:
+        requested: dict[str, Any] = {} if models("normal")[law].restitution == "nothing" else {"restitution": 0.7}
         numbers = collide(
             law, "stainless_316", diameter, 0.5, wall=wall, steps_per_contact=STEPS, precision=precision, arch=arch,
             **requested,

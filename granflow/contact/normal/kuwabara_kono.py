@@ -5,20 +5,19 @@ The dissipative force is proportional to the square root of the overlap, and e d
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 
-import numpy as np
-import taichi as ti
-
 from granflow.contact import theory
+from granflow.contact.device import ti
+from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactState, ModelRequest, NormalLaw
-from granflow.contact.normal.hertz import lost_energy, stored_energy
+from granflow.contact.model import ContactModel
+from granflow.contact.normal.hertz import HertzSpring
+from granflow.contact.options import Amount
 from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
-from granflow.contact.tangential.mindlin import mindlin_stiffness
 
-CONSTANTS = ("modulus_eff", "shear_modulus_eff", "dissipation")
-"""Pair constants: effective moduli E, G [Pa] and dissipation g at 1 m/s [(s/m)^(1/5)]."""
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""
 EXPONENT = 0.2
@@ -29,95 +28,104 @@ LARGEST_DISSIPATION = 64.0
 """Largest dissipation considered; e is 0.0013 there."""
 
 
-def law_for(request: ModelRequest) -> NormalLaw:
-    """Contact model that a scene requests."""
-    return build(request.settings["reference_velocity"])
-
-
-def build(reference_velocity: float) -> NormalLaw:
-    """Build the model; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
-
-    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives e at 1
-    m/s.
-
-    The pair constants raise ValueError if the restitution is 0 or depends on velocity.
-    """
-    scale = reference_velocity**-EXPONENT
-
-    def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-        if not isinstance(pair.restitution, float):
-            raise ValueError("the contact model kuwabara_kono requires one number as restitution coefficient")
-        dissipation = scale * dissipation_for(pair.restitution)
-        return pair.modulus_eff, pair.shear_modulus_eff, dissipation
-
-    def rebound(pair: PairMaterial, velocity: float) -> tuple[float, float, float]:
-        """Restitution and dimensionless durations at an approach velocity [m/s], see `rebound_of`."""
-        return rebound_of(pair_constants(pair)[2] * velocity**EXPONENT)
-
-    def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        return rebound(pair, velocity)[0]
-
-    def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-        """Loading and unloading durations [s]; the unit of time is (M^2 / (k^2 v))^(1/5)."""
-        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-        unit = (mass_eff**2 / (k**2 * velocity)) ** EXPONENT
-        _, loading, unloading = rebound(pair, velocity)
-        return unit * loading, unit * unloading
-
-    def damping(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N s/m]."""
-        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-        largest = float(theory.overlap_max(k, mass_eff, velocity))
-        return pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
-
-    return NormalLaw(
-        name="kuwabara_kono",
-        source="Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, "
-        "doi 10.1103/PhysRevE.53.5382",
-        limits="valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of the "
-        "mass in the force takes extra time for every contact and step",
-        constant_names=CONSTANTS,
-        history_names=(),
-        rate_dependent=True,
-        tangential_stiffness_grows=True,
-        pair_constants=pair_constants,
-        force=force,
-        stored_energy=stored_energy,
-        lost_energy=lost_energy,
-        tangential_stiffness=mindlin_stiffness,
-        reference=reference,
-        phase_durations=phase_durations,
-        unloading_stiffness=theory.hertz_tangent,
-        stable_stiffness=theory.hertz_tangent,
-        damping=damping,
-        restitution=restitution,
-    )
-
-
 _step_mean = build_step_mean(DAMPING_POWER)
 
 
-@ti.func
-def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    """F = max(k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', 0), where g is the dissipation at 1 m/s.
+@dataclass(frozen=True)
+class KuwabaraKono(HertzSpring):
+    """Viscoelastic spheres; the restitution of a pair applies at the reference velocity [m/s], for all particle sizes.
 
-    d^(1/2) of the damping is averaged over the step.
+    e depends only on g v^(1/5) (Brilliantov et al. 1996), so that g = g_ref / v_ref^(1/5), where g_ref gives e at 1
+    m/s.
     """
-    k = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff)
-    elastic = k * ti.sqrt(overlap) * overlap
-    overlap_at, weight = _step_mean(overlap, overlap_rate, time_step)
-    viscous = constants[2] * k * ti.pow(mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at) * overlap_rate
-    viscous = ti.max(viscous, -elastic)
-    return elastic + viscous, viscous, history
+
+    reference_velocity: float
+
+    name = "kuwabara_kono"
+    source = "Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, doi 10.1103/PhysRevE.53.5382"
+    limits = (
+        "valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of the mass in "
+        "the force takes extra time for every contact and step"
+    )
+    constant_names = ("modulus_eff", "shear_modulus_eff", "dissipation")
+    """Dissipation: g at 1 m/s [(s/m)^(1/5)]."""
+    branch_free = False
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "KuwabaraKono":
+        """The law that a scene requests."""
+        return cls(request.options["reference_velocity"])
+
+    @property
+    def rate_dependent(self) -> bool:
+        """The contact has damping."""
+        return True
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`. Raises ValueError if the restitution is 0 or depends on velocity."""
+        if not isinstance(pair.restitution, float):
+            raise ValueError("the contact model kuwabara_kono requires one number as restitution coefficient")
+        dissipation = self.reference_velocity**-EXPONENT * dissipation_for(pair.restitution)
+        return pair.modulus_eff, pair.shear_modulus_eff, dissipation
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """F = max(k d^1.5 + g k^(3/5) M^(2/5) d^(1/2) d', 0), where g is the dissipation at 1 m/s.
+
+        d^(1/2) of the damping is averaged over the step.
+        """
+        k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
+        elastic = k * ti.sqrt(contact.overlap) * contact.overlap
+        overlap_at, weight = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
+        damping = constants.dissipation * k * ti.pow(contact.mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at)
+        viscous = ti.max(damping * contact.overlap_rate, -elastic)
+        return elastic + viscous, viscous, history
+
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force` in numpy."""
+        k = theory.hertz_stiffness(contact.constants.modulus_eff, contact.radius_eff)
+        damping = contact.constants.dissipation * k**0.6 * contact.mass_eff**0.4
+        root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
+        dissipative = damping * root * contact.overlap_rate
+        return float(max(k * contact.overlap**1.5 + dissipative, 0.0)), {}
+
+    def _rebound(self, pair: PairMaterial, velocity: float) -> tuple[float, float, float]:
+        """Restitution and dimensionless durations at an approach velocity [m/s], see `rebound_of`."""
+        return rebound_of(self.pair_constants(pair)[2] * velocity**EXPONENT)
+
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Restitution of the undisturbed collision."""
+        return self._rebound(pair, velocity)[0]
+
+    def phase_durations(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> tuple[float, float]:
+        """Loading and unloading durations [s]; the unit of time is (M^2 / (k^2 v))^(1/5)."""
+        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        unit = (mass_eff**2 / (k**2 * velocity)) ** EXPONENT
+        _, loading, unloading = self._rebound(pair, velocity)
+        return unit * loading, unit * unloading
+
+    def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Ratio of dissipative force to overlap rate at the maximum overlap of the undamped contact [N s/m]."""
+        k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
+        largest = float(theory.overlap_max(k, mass_eff, velocity))
+        return self.pair_constants(pair)[2] * k**0.6 * mass_eff**0.4 * math.sqrt(largest)
 
 
-def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-    """Reference implementation of `force` in numpy."""
-    k = theory.hertz_stiffness(contact.constants[0], contact.radius_eff)
-    damping = contact.constants[2] * k**0.6 * contact.mass_eff**0.4
-    root = reference_step_mean(DAMPING_POWER, contact.overlap, contact.overlap_rate, contact.time_step)
-    dissipative = damping * root * contact.overlap_rate
-    return float(max(k * contact.overlap**1.5 + dissipative, 0.0)), contact.history
+MODEL = ContactModel(
+    KuwabaraKono,
+    "Viscoelastic spheres: Hertz spring with damping proportional to the square root of the overlap; e decreases with "
+    "velocity (Kuwabara & Kono 1987).",
+    options={
+        "reference_velocity": Amount(
+            "approach velocity [m/s] at which e equals the restitution of the pair",
+            *("1 m/s", "velocity", "a speed"),
+            above=0,
+        )
+    },
+    example={"reference_velocity": 1.0},
+)
 
 
 @cache

@@ -5,35 +5,34 @@ maximum overlap, as an elastic sphere of a larger radius.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
+from granflow.contact.device import ti
+from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactState, ModelRequest, NormalLaw
-from granflow.contact.tangential.mindlin import mindlin_stiffness
-
-CONSTANTS = ("modulus_eff", "shear_modulus_eff", "yield_pressure")
-"""Pair constants: effective moduli E, G [Pa] and limiting contact pressure p [Pa]."""
+from granflow.contact.model import ContactModel
+from granflow.contact.options import Amount
 
 
 @ti.func
 def yield_point(constants, radius_eff):
     """Overlap [m] and force [N] at first yield: d_y = R (pi p / (2 E))^2, F_y = k d_y^1.5 (Thornton 1997)."""
-    slope = 0.5 * math.pi * constants[2] / constants[0]
+    slope = 0.5 * math.pi * constants.yield_pressure / constants.modulus_eff
     overlap = radius_eff * slope * slope
-    return overlap, 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
+    return overlap, 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(radius_eff * overlap) * overlap
 
 
 @ti.func
 def loading_force(constants, radius_eff, overlap):
     """Force on the loading branch [N]: k d^1.5 up to first yield, then F_y + pi p R (d - d_y)."""
-    elastic = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap) * overlap
+    elastic = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(radius_eff * overlap) * overlap
     overlap_yield, force_yield = yield_point(constants, radius_eff)
-    plastic = force_yield + math.pi * constants[2] * radius_eff * (overlap - overlap_yield)
+    plastic = force_yield + math.pi * constants.yield_pressure * radius_eff * (overlap - overlap_yield)
     return ti.select(overlap > overlap_yield, plastic, elastic)
 
 
@@ -43,45 +42,9 @@ def unloading_contact(constants, radius_eff, overlap_max):
 
     R_p F* = R F_e*,   F_e* = k d*^1.5,   d_p = d* - d* F* / F_e*        * at the maximum overlap, R_p flattened radius
     """
-    hertz = 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * overlap_max) * overlap_max
+    hertz = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(radius_eff * overlap_max) * overlap_max
     ratio = hertz / loading_force(constants, radius_eff, overlap_max)
-    return 4.0 / 3.0 * constants[0] * ti.sqrt(radius_eff * ratio), overlap_max - overlap_max / ratio
-
-
-@ti.func
-def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
-    """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it [N]."""
-    history_new = history
-    history_new[0] = ti.max(overlap, history[0])
-    stiffness, residual = unloading_contact(constants, radius_eff, history_new[0])
-    above = ti.max(overlap - residual, 0.0)
-    loading = loading_force(constants, radius_eff, overlap)
-    normal_force = ti.select(overlap >= history[0], loading, stiffness * above * ti.sqrt(above))
-    return normal_force, 0.0 * normal_force, history_new
-
-
-@ti.func
-def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual overlap."""
-    stiffness, residual = unloading_contact(constants, radius_eff, history[0])
-    above = ti.max(overlap - residual, 0.0)
-    return 0.4 * stiffness * above * above * ti.sqrt(above)
-
-
-@ti.func
-def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
-    """Work of loading to the maximum overlap minus the energy recovered by unloading [J]."""
-    largest = history[0]
-    overlap_yield, force_yield = yield_point(constants, radius_eff)
-    energy_lost = 0.0 * largest
-    if largest > overlap_yield:
-        beyond = largest - overlap_yield
-        work = 0.4 * force_yield * overlap_yield
-        work += beyond * (force_yield + 0.5 * math.pi * constants[2] * radius_eff * beyond)
-        stiffness, residual = unloading_contact(constants, radius_eff, largest)
-        above = largest - residual
-        energy_lost = work - 0.4 * stiffness * above * above * ti.sqrt(above)
-    return energy_lost
+    return 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(radius_eff * ratio), overlap_max - overlap_max / ratio
 
 
 @dataclass(frozen=True)
@@ -179,73 +142,127 @@ def _hertz_time(share: float) -> float:
     return float(0.5 * end * np.sum(weights * integrand))
 
 
-def law_for(request: ModelRequest) -> NormalLaw:
-    """Contact model that a scene requests."""
-    return build(request.settings["yield_ratio"])
+@dataclass(frozen=True)
+class Thornton(NormalLaw):
+    """Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength."""
 
+    yield_ratio: float
 
-def build(yield_ratio: float) -> NormalLaw:
-    """Build Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength.
+    name = "thornton"
+    source = "Thornton 1997, J. Appl. Mech. 64:383, doi 10.1115/1.2787319"
+    limits = (
+        "neither hardening nor rate dependence: e is 1 below the yield velocity and decreases as v^(-1/4) far above "
+        "it, for every material; the contact pressure at yield is uncertain by a factor of 2"
+    )
+    constant_names = ("modulus_eff", "shear_modulus_eff", "yield_pressure")
 
-    The pair constants raise ValueError if neither material has a yield strength.
-    """
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Thornton":
+        """The law that a scene requests."""
+        return cls(request.options["yield_ratio"])
 
-    def pressure(pair: PairMaterial) -> float:
-        """Limiting contact pressure [Pa] of a pair."""
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Maximum overlap."""
+        return (HistoryField("overlap_max", "maximum overlap", "m", in_output=True),)
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`. Raises ValueError if neither material has a yield strength."""
         if pair.yield_strength is None:
             raise ValueError(
                 "the contact model thornton requires a yield strength of at least one of the two materials"
             )
-        return yield_ratio * pair.yield_strength
+        return pair.modulus_eff, pair.shear_modulus_eff, self.yield_ratio * pair.yield_strength
 
-    def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-        return pair.modulus_eff, pair.shear_modulus_eff, pressure(pair)
+    @ti.func
+    def force(self, constants, contact, history):
+        """Loading branch beyond the previous maximum overlap, Hertz force of the flattened contact below it [N]."""
+        history_new = history
+        history_new.overlap_max = ti.max(contact.overlap, history.overlap_max)
+        stiffness, residual = unloading_contact(constants, contact.radius_eff, history_new.overlap_max)
+        above = ti.max(contact.overlap - residual, 0.0)
+        loading = loading_force(constants, contact.radius_eff, contact.overlap)
+        normal_force = ti.select(contact.overlap >= history.overlap_max, loading, stiffness * above * ti.sqrt(above))
+        return normal_force, 0.0 * normal_force, history_new
 
-    def collision(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> ThorntonCollision:
-        hertz = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-        overlap_yield = radius_eff * (0.5 * math.pi * pressure(pair) / pair.modulus_eff) ** 2
-        return ThorntonCollision(hertz, radius_eff, mass_eff, velocity, pressure(pair), overlap_yield)
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Energy recovered by unloading [J]: 2/5 of the force times the overlap above the residual overlap."""
+        stiffness, residual = unloading_contact(constants, contact.radius_eff, history.overlap_max)
+        above = ti.max(contact.overlap - residual, 0.0)
+        return 0.4 * stiffness * above * above * ti.sqrt(above)
 
-    def tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        return collision(pair, radius_eff, mass_eff, velocity).unloading_tangent
+    @ti.func
+    def lost_energy(self, constants, contact, history):
+        """Work of loading to the maximum overlap minus the energy recovered by unloading [J]."""
+        largest = history.overlap_max
+        overlap_yield, force_yield = yield_point(constants, contact.radius_eff)
+        energy_lost = 0.0 * largest
+        if largest > overlap_yield:
+            beyond = largest - overlap_yield
+            work = 0.4 * force_yield * overlap_yield
+            work += beyond * (force_yield + 0.5 * math.pi * constants.yield_pressure * contact.radius_eff * beyond)
+            stiffness, residual = unloading_contact(constants, contact.radius_eff, largest)
+            above = largest - residual
+            energy_lost = work - 0.4 * stiffness * above * above * ti.sqrt(above)
+        return energy_lost
 
-    return NormalLaw(
-        name="thornton",
-        source="Thornton 1997, J. Appl. Mech. 64:383, doi 10.1115/1.2787319",
-        limits="neither hardening nor rate dependence: e is 1 below the yield velocity and decreases as v^(-1/4) far "
-        "above it, for every material; the contact pressure at yield is uncertain by a factor of 2",
-        constant_names=CONSTANTS,
-        history_names=("overlap_max",),
-        rate_dependent=False,
-        tangential_stiffness_grows=True,
-        branch_free=True,
-        pair_constants=pair_constants,
-        force=force,
-        stored_energy=stored_energy,
-        lost_energy=lost_energy,
-        tangential_stiffness=mindlin_stiffness,
-        reference=reference,
-        phase_durations=lambda *arguments: collision(*arguments).durations(),
-        unloading_stiffness=tangent,
-        stable_stiffness=tangent,
-        restitution=lambda *arguments: collision(*arguments).restitution,
-    )
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d - d_p)."""
+        modulus, pressure = contact.constants.modulus_eff, contact.constants.yield_pressure
+        radius, before = contact.radius_eff, contact.history.overlap_max
+        largest = max(contact.overlap, before)
+        yield_radius = math.pi * pressure * radius / (2.0 * modulus)
+
+        def loaded(overlap: float) -> float:
+            contact_radius = math.sqrt(radius * overlap)
+            elastic = 4.0 * modulus * min(contact_radius, yield_radius) ** 3 / (3.0 * radius)
+            return elastic + math.pi * pressure * max(contact_radius**2 - yield_radius**2, 0.0)
+
+        if contact.overlap >= before:
+            return loaded(contact.overlap), {"overlap_max": largest}
+        equivalent = 4.0 * modulus * (radius * largest) ** 1.5 / (3.0 * radius)
+        flat_radius = radius * equivalent / loaded(largest)
+        above = max(contact.overlap - (largest - radius * largest / flat_radius), 0.0)
+        return 4.0 / 3.0 * modulus * math.sqrt(flat_radius) * above**1.5, {"overlap_max": largest}
+
+    def collision(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> ThorntonCollision:
+        """Closed forms of a collision."""
+        modulus, _, pressure = self.pair_constants(pair)
+        hertz = float(theory.hertz_stiffness(modulus, radius_eff))
+        overlap_yield = radius_eff * (0.5 * math.pi * pressure / modulus) ** 2
+        return ThorntonCollision(hertz, radius_eff, mass_eff, velocity, pressure, overlap_yield)
+
+    def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Maximum overlap [m], with yield."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).overlap_max
+
+    def phase_durations(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> tuple[float, float]:
+        """Loading and unloading durations [s]."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).durations()
+
+    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Tangent stiffness at the start of unloading [N/m]."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).unloading_tangent
+
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Restitution, which follows from the yield strength."""
+        return self.collision(pair, radius_eff, mass_eff, velocity).restitution
 
 
-def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-    """Reference implementation of `force` in numpy, by contact radii: a^2 = R d and a^2 = R_p (d - d_p)."""
-    modulus, _, pressure = contact.constants
-    radius, largest = contact.radius_eff, max(contact.overlap, contact.history[0])
-    yield_radius = math.pi * pressure * radius / (2.0 * modulus)
-
-    def loaded(overlap: float) -> float:
-        contact_radius = math.sqrt(radius * overlap)
-        elastic = 4.0 * modulus * min(contact_radius, yield_radius) ** 3 / (3.0 * radius)
-        return elastic + math.pi * pressure * max(contact_radius**2 - yield_radius**2, 0.0)
-
-    if contact.overlap >= contact.history[0]:
-        return loaded(contact.overlap), np.array([contact.overlap])
-    equivalent = 4.0 * modulus * (radius * largest) ** 1.5 / (3.0 * radius)
-    flat_radius = radius * equivalent / loaded(largest)
-    above = max(contact.overlap - (largest - radius * largest / flat_radius), 0.0)
-    return 4.0 / 3.0 * modulus * math.sqrt(flat_radius) * above**1.5, np.array([largest])
+MODEL = ContactModel(
+    Thornton,
+    "Elastic, perfectly plastic spheres: restitution follows from the yield strength (Thornton 1997).",
+    options={
+        "yield_ratio": Amount(
+            "ratio of the maximum contact pressure to the yield strength: 1.6 at the onset of yield below the surface "
+            "(Thornton 1997), 2.8 for a fully plastic contact (Johnson 1985)",
+            *("1.6", "number", "a ratio"),
+            above=0,
+        )
+    },
+    restitution="nothing",
+    example={"yield_ratio": 1.6},
+)

@@ -1,135 +1,142 @@
 """Bilinear model: loading with stiffness k1, unloading and reloading with the larger k2 (Walton & Braun 1986)."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-import numpy as np
-import taichi as ti
-
+from granflow.contact.device import ti
+from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactState, ModelRequest, NormalLaw, ReferenceForce
-from granflow.contact.spring import Spring, quarter_period, spring_for, tangential_spring
-
-CONSTANTS = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
-"""Pair constants: effective moduli E, G [Pa] and loss ratio 1/e^2 - 1."""
+from granflow.contact.model import ContactModel
+from granflow.contact.options import Amount, Choice
+from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
 
 
-def pair_constants(pair: PairMaterial) -> tuple[float, ...]:
-    """Values of CONSTANTS; the loss ratio is 1/e^2 - 1.
+@dataclass(frozen=True)
+class WaltonBraun(SpringLaw):
+    """Bilinear model with the loading spring k1.
 
-    Raises ValueError if the restitution is 0 or depends on velocity.
-    """
-    if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
-        raise ValueError("the contact model walton_braun requires one number above 0 as restitution coefficient")
-    return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
-
-
-def law_for(request: ModelRequest) -> NormalLaw:
-    """Contact model that a scene requests."""
-    given = request.settings["unloading"]
-    return build(spring_for(request, history_index=1), None if given == "constant" else given["reference_velocity"])
-
-
-def build(spring: Spring, reference_velocity: float | None) -> NormalLaw:
-    """Build the bilinear model with the loading spring k1.
-
-    spring:              spring k1; its index in the history is 1
     reference_velocity:  velocity [m/s] at which e applies, or None
 
     Without a reference velocity k2 = k1 / e^2, so that e does not depend on velocity; otherwise k2 = k1 (1 + S F_max)
     with the slope S that gives e at the reference velocity, and e decreases with velocity.
     """
-    velocity_dependent = reference_velocity is not None
+
+    reference_velocity: float | None
+
+    name = "walton_braun"
+    source = "Walton & Braun 1986, J. Rheol. 30:949, doi 10.1122/1.549893; spring: Zhou 2011, Eq. 19"
+    limits = (
+        "unloading is 1/e^2 times as stiff as loading, so that the time step is proportional to e; with a given "
+        "stiffness the duration, with a constant k2 the restitution, does not depend on velocity"
+    )
+    constant_names = ("modulus_eff", "shear_modulus_eff", "loss_ratio")
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "WaltonBraun":
+        """The law that a scene requests."""
+        given = request.options["unloading"]
+        return cls(Spring.from_scene(request), None if given == "constant" else given["reference_velocity"])
+
+    @property
+    def velocity_dependent(self) -> bool:
+        """Whether the restitution depends on velocity."""
+        return self.reference_velocity is not None
+
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Maximum overlap, and the stiffness unless it is a number."""
+        return HistoryField("overlap_max", "maximum overlap", "m", in_output=True), *self.spring_history
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`; the loss ratio is 1/e^2 - 1.
+
+        Raises ValueError if the restitution is 0 or depends on velocity.
+        """
+        if not isinstance(pair.restitution, float) or not 0.0 < pair.restitution <= 1.0:
+            raise ValueError("the contact model walton_braun requires one number above 0 as restitution coefficient")
+        return pair.modulus_eff, pair.shear_modulus_eff, 1.0 / pair.restitution**2 - 1.0
 
     @ti.func
-    def unloading_stiffness(constants, mass_eff, stiffness, overlap_max):
+    def unloading_slope(self, constants, contact, stiffness, overlap_max):
         """Slope k2 [N/m]: k1 / e^2, or k1 (1 + (1/e^2 - 1) dmax sqrt(k1/M) / v_ref)."""
-        excess = constants[2]
-        if ti.static(velocity_dependent):
-            excess *= overlap_max * ti.sqrt(stiffness / mass_eff) / reference_velocity
+        excess = constants.loss_ratio
+        if ti.static(self.velocity_dependent):
+            excess *= overlap_max * ti.sqrt(stiffness / contact.mass_eff) / self.reference_velocity
         return stiffness * (1.0 + excess)
 
     @ti.func
-    def force(constants, radius_eff, mass_eff, time_step, overlap, overlap_rate, history):
+    def force(self, constants, contact, history):
         """F = k1 d beyond the previous maximum overlap, max(k2 (d - d0), 0) below it [N]."""
-        history_new, stiffness = history, spring.stiffness_of(history)
-        history_new[0] = ti.max(overlap, history[0])
-        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history_new[0])
-        normal_force = ti.max(stiffness * history_new[0] - unloading_stiffness_now * (history_new[0] - overlap), 0.0)
+        history_new, stiffness = history, self.stiffness_of(contact, history)
+        largest = ti.max(contact.overlap, history.overlap_max)
+        history_new.overlap_max = largest
+        slope = self.unloading_slope(constants, contact, stiffness, largest)
+        normal_force = ti.max(stiffness * largest - slope * (largest - contact.overlap), 0.0)
         return normal_force, 0.0 * normal_force, history_new
 
     @ti.func
-    def stored_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    def stored_energy(self, constants, contact, history):
         """Energy recovered by unloading [J], F^2 / (2 k2)."""
-        stiffness = spring.stiffness_of(history)
-        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
-        force = ti.max(stiffness * history[0] - unloading_stiffness_now * (history[0] - overlap), 0.0)
-        return 0.5 * force * force / unloading_stiffness_now
+        stiffness, largest = self.stiffness_of(contact, history), history.overlap_max
+        slope = self.unloading_slope(constants, contact, stiffness, largest)
+        force = ti.max(stiffness * largest - slope * (largest - contact.overlap), 0.0)
+        return 0.5 * force * force / slope
 
     @ti.func
-    def lost_energy(constants, radius_eff, mass_eff, time_step, overlap, history):
+    def lost_energy(self, constants, contact, history):
         """Work of loading minus recoverable energy at the maximum overlap [J], k1 dmax^2 (1 - k1/k2) / 2."""
-        stiffness = spring.stiffness_of(history)
-        unloading_stiffness_now = unloading_stiffness(constants, mass_eff, stiffness, history[0])
-        return 0.5 * stiffness * history[0] * history[0] * (1.0 - stiffness / unloading_stiffness_now)
+        stiffness, largest = self.stiffness_of(contact, history), history.overlap_max
+        slope = self.unloading_slope(constants, contact, stiffness, largest)
+        return 0.5 * stiffness * largest * largest * (1.0 - stiffness / slope)
 
-    @ti.func
-    def tangential_stiffness(constants, radius_eff, overlap, history):
-        return tangential_spring(constants, spring.stiffness_of(history))
-
-    def restitution(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """e(v) = 1 / sqrt(1 + (1/e^2 - 1) v / v_ref), or e (Walton & Braun 1986)."""
-        share = 1.0 if reference_velocity is None else velocity / reference_velocity
-        return 1.0 / math.sqrt(1.0 + pair_constants(pair)[2] * share)
-
-    def phase_durations(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> tuple[float, float]:
-        """Quarter periods [s] of k1 and of k2 = k1 / e(v)^2."""
-        quarter = quarter_period(spring.stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
-        return quarter, restitution(pair, radius_eff, mass_eff, velocity) * quarter
-
-    def largest_stiffness(pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Slope k2 [N/m] = k1 / e(v)^2."""
-        stiffness = spring.stiffness(pair, radius_eff, mass_eff, velocity)
-        return stiffness / restitution(pair, radius_eff, mass_eff, velocity) ** 2
-
-    return NormalLaw(
-        name="walton_braun",
-        source="Walton & Braun 1986, J. Rheol. 30:949, doi 10.1122/1.549893; spring: Zhou 2011, Eq. 19",
-        limits="unloading is 1/e^2 times as stiff as loading, so that the time step is proportional to e; with a given "
-        "stiffness the duration, with a constant k2 the restitution, does not depend on velocity",
-        constant_names=CONSTANTS,
-        history_names=("overlap_max", *spring.history_names),
-        rate_dependent=False,
-        tangential_stiffness_grows=False,
-        branch_free=True,
-        pair_constants=pair_constants,
-        force=force,
-        prepare=spring.prepare,
-        stored_energy=stored_energy,
-        lost_energy=lost_energy,
-        tangential_stiffness=tangential_stiffness,
-        reference=_reference(spring, reference_velocity),
-        phase_durations=phase_durations,
-        unloading_stiffness=largest_stiffness,
-        stable_stiffness=largest_stiffness,
-        loading_tangent=spring.stiffness,
-        restitution=restitution,
-    )
-
-
-def _reference(spring: Spring, reference_velocity: float | None) -> ReferenceForce:
-    """Reference implementation of `force` in numpy, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the paper."""
-
-    def reference(contact: ContactState) -> tuple[float, np.ndarray]:
-        (stiffness, spring_history), largest = spring.reference_stiffness(contact), contact.history[0]
-        history_new = np.array([max(largest, contact.overlap), *spring_history])
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force`, with the slope S [1/N] of k2 = k1 (1 + S F_max) as in the paper."""
+        (stiffness, spring), largest = self.reference_stiffness(contact), contact.history.overlap_max
+        history = {"overlap_max": max(largest, contact.overlap), **spring}
         if contact.overlap >= largest:
-            return stiffness * contact.overlap, history_new
-        unloading_stiffness_now = stiffness * (1.0 + contact.constants[2])
-        if reference_velocity is not None:
-            slope = contact.constants[2] / (reference_velocity * math.sqrt(stiffness * contact.mass_eff))
-            unloading_stiffness_now = stiffness * (1.0 + slope * stiffness * largest)
-        return max(
-            unloading_stiffness_now * (contact.overlap - largest * (1.0 - stiffness / unloading_stiffness_now)), 0.0
-        ), history_new
+            return stiffness * contact.overlap, history
+        k2 = stiffness * (1.0 + contact.constants.loss_ratio)
+        if self.reference_velocity is not None:
+            slope = contact.constants.loss_ratio / (self.reference_velocity * math.sqrt(stiffness * contact.mass_eff))
+            k2 = stiffness * (1.0 + slope * stiffness * largest)
+        return max(k2 * (contact.overlap - largest * (1.0 - stiffness / k2)), 0.0), history
 
-    return reference
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """e(v) = 1 / sqrt(1 + (1/e^2 - 1) v / v_ref), or e (Walton & Braun 1986)."""
+        share = 1.0 if self.reference_velocity is None else velocity / self.reference_velocity
+        return 1.0 / math.sqrt(1.0 + self.pair_constants(pair)[2] * share)
+
+    def phase_durations(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> tuple[float, float]:
+        """Quarter periods [s] of k1 and of k2 = k1 / e(v)^2."""
+        quarter = quarter_period(self.loading_stiffness(pair, radius_eff, mass_eff, velocity), mass_eff)
+        return quarter, self.restitution(pair, radius_eff, mass_eff, velocity) * quarter
+
+    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Slope k2 [N/m] = k1 / e(v)^2."""
+        stiffness = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
+        return stiffness / self.restitution(pair, radius_eff, mass_eff, velocity) ** 2
+
+
+MODEL = ContactModel(
+    WaltonBraun,
+    "Bilinear: stiffness k1 on loading, the steeper k2 on unloading (Walton & Braun 1986).",
+    options={
+        "stiffness": STIFFNESS,
+        "unloading": Choice(
+            "constant (k2 = k1 / e^2: constant restitution) or {reference_velocity: 1 m/s} (k2 increases with the "
+            "maximum force; e decreases with velocity and equals the restitution of the pair at this velocity)",
+            words=("constant",),
+            keyed={
+                "reference_velocity": Amount(
+                    "approach velocity [m/s] at which e equals the restitution of the pair",
+                    *("1 m/s", "velocity", "a speed"),
+                    above=0,
+                )
+            },
+        ),
+    },
+    example={"stiffness": "onset", "unloading": "constant"},
+)

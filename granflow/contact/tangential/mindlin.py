@@ -1,74 +1,60 @@
-"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction.
+"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction."""
 
-The history is the elastic tangential displacement. If the stiffness increases, the force is preserved and the
-displacement decreases; if it decreases, the displacement is preserved and the force decreases with the contact radius
-(Thornton, Cummins & Cleary 2013). The spring therefore never generates energy. The rolling spring is identical, with a
-torque and an angle.
-"""
+from dataclasses import dataclass
 
-import numpy as np
-import taichi as ti
-
-
-@ti.func
-def mindlin_stiffness(constants, radius_eff, overlap, history):
-    """No-slip stiffness of a Hertz contact [N/m] (Mindlin 1949).
-
-    kt = 8 G sqrt(R d)          constants[1] is the effective shear modulus G
-    """
-    return 8.0 * constants[1] * ti.sqrt(radius_eff * overlap)
+from granflow.contact.device import ti
+from granflow.contact.law import HistoryField, TangentialLaw
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.options import FRICTION
+from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
 
 
-@ti.func
-def rotated_displacement(displacement, normal, normal_middle):
-    """Tangential displacement [m] rotated with the contact plane over one step.
+@dataclass(frozen=True)
+class Mindlin(TangentialLaw):
+    """Elastic-plastic spring with the no-slip stiffness of the normal model, see `tangential.spring`."""
 
-        s' = s - (s . n) (n_before + n) / 2
+    name = "mindlin"
+    source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
+    limits = "slip occurs in the whole contact area at once, and rotation about the normal does not rotate the spring"
+    constant_names = ("friction",)
 
-    normal:         unit normal n now
-    normal_middle:  mean of the previous and the present normal
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Elastic tangential displacement."""
+        return (HistoryField("displacement", "tangential displacement", "m", size=3),)
 
-    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs a
-    cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
-    """
-    return displacement - displacement.dot(normal) * normal_middle
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Coefficient of sliding friction."""
+        return (pair.friction,)
+
+    @ti.func
+    def limit(self, constants, contact):
+        """Coulomb limit [N]."""
+        return constants.friction * contact.normal_load
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Spring force [N] after the slip of this step, limited to mu F."""
+        history_new, stiffness, ratio = history, contact.stiffness, contact.stiffness_ratio
+        rotated = rotated_displacement(history.displacement, contact.normal, contact.normal_half)
+        force, displacement = elastic_plastic_spring(
+            stiffness, ratio, self.limit(constants, contact), rotated, contact.slip
+        )
+        energy_lost = spring_loss(stiffness, ratio, rotated, contact.slip, force, displacement)
+        history_new.displacement = displacement
+        return force, history_new, energy_lost
+
+    @ti.func
+    def present_force(self, constants, contact, history):
+        """Spring force [N] and its size [N]."""
+        displacement = history.displacement
+        return -contact.stiffness * displacement, contact.stiffness * ti.sqrt(displacement.dot(displacement))
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Energy of the spring [J]."""
+        return 0.5 * contact.stiffness * history.displacement.dot(history.displacement)
 
 
-@ti.func
-def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
-    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new displacement).
-
-    stiffness:        present stiffness k [N/m]
-    stiffness_ratio:  ratio of the previous to the present stiffness: below 1 the force is preserved, above 1 the
-                      displacement
-    rotated:          displacement of the previous step [m] in the present contact plane
-    step:             relative tangential displacement in this step [m]
-
-    For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a branch, so
-    that the compiler can vectorize over contacts.
-    """
-    displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
-    force = -stiffness * displacement_new
-    square = force.dot(force)
-    ratio = ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
-    return ratio * force, ratio * displacement_new
-
-
-@ti.func
-def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
-    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored energy."""
-    stiffness_before = stiffness_ratio * stiffness
-    work = 0.5 * (stiffness_before * rotated - force).dot(step)
-    return (
-        work + 0.5 * stiffness_before * rotated.dot(rotated) - 0.5 * stiffness * displacement_new.dot(displacement_new)
-    )
-
-
-def reference_spring(
-    stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `elastic_plastic_spring` in numpy, with vectors (3,)."""
-    trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
-    size = stiffness * float(np.sqrt(trial @ trial))
-    displacement_new = trial if size <= cap else trial * (cap / size)
-    return -stiffness * displacement_new, displacement_new
+MODEL = ContactModel(Mindlin, "spring with history, Coulomb limit", pair_options=(FRICTION,))

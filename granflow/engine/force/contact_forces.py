@@ -17,9 +17,15 @@ from granflow.engine.force.pair_kinematics import (
     build_weight,
 )
 from granflow.engine.force.simd_pair_force import build_batched_forces
+from granflow.engine.force.structs import build_constants
 from granflow.engine.force.wall_forces import build_add_impulse
 from granflow.engine.limits import ABORT_OVERLAP
-from granflow.engine.neighbor.contact_history import build_end_contact, build_read_history, build_write_history
+from granflow.engine.neighbor.contact_history import (
+    build_add_plastic_loss,
+    build_end_contact,
+    build_read_history,
+    build_write_history,
+)
 from granflow.engine.neighbor.mesh_contact_history import (
     CONTACT_ORDER,
     build_acquire_history,
@@ -29,7 +35,7 @@ from granflow.engine.neighbor.mesh_contact_history import (
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
-from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING, WALL_WORK
+from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING, WALL_WORK
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
@@ -42,138 +48,143 @@ def build_contact(state: State, with_wall: bool) -> Any:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
     Writes:  history, in_contact, losses, boundary_work, impulses, wall_force, abort, abort_particle
     """
-    plan, particles, control = state.plan, state.particles, state.control
-    features, real = plan.features, state.backend.real
+    control, transfers = state.control, with_wall and transfers_history(state)
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    pair_number, weight, geometry = build_pair_number(state), build_weight(state), WallGeometry(state)
-    add_boundary_work = build_boundary_work(state)
-    wall_of, transfers = build_wall_of(state), with_wall and transfers_history(state)
+    constants_of, pair_number = build_constants(state.plan.laws), build_pair_number(state)
+    angular_velocities_of, check_overlap = (
+        _build_angular_velocities(state, with_wall),
+        _build_check_overlap(state, with_wall),
+    )
     release_history, acquire_history = (
         (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
-    pair_force, read_history, write_history, end_contact = (
-        build_pair_force(plan, False),
-        build_read_history(state),
-        build_write_history(state),
-        build_end_contact(state),
-    )
-    measured = with_wall and features.wall_forces
-    add_impulse = build_add_impulse(state) if measured else None
-    force_controlled = with_wall and features.force_controlled_walls
-    _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
+    read_history, write_history = build_read_history(state), build_write_history(state)
+    pair_force, add_to_accounting = build_pair_force(state.plan, False), _build_add_to_accounting(state, with_wall)
+    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
 
     @ti.func
-    def angular_velocity_of_partner(i, j, pose):
-        angular_velocity = 0.0 * particles.velocity[i]
-        if ti.static(features.rotation and not with_wall):
-            angular_velocity = particles.angular_velocity[j]
-        elif ti.static(features.rotation and features.moving_walls):
-            angular_velocity = ti.cast(state.walls.angular_velocity[pose, wall_of(j)], real)
-        return angular_velocity
+    def contact(chunk, i, list_index, j, pose, dt):
+        force, torque = 0.0 * state.particles.velocity[i], 0.0 * state.particles.velocity[i]
+        kinematics, bodies = pair_kinematics(i, j, pose, dt), effective(i, j)
+        constants = constants_of(control.pair_constants[pair_number(i, j)])
+        if kinematics.overlap > 0.0:
+            check_overlap(i, j, kinematics.overlap)
+            if ti.static(transfers):
+                acquire_history(i, list_index, j, pose)
+            found = pair_force(
+                constants, bodies, kinematics, angular_velocities_of(i, j, pose), read_history(list_index), dt
+            )
+            force, torque = found.force, found.torque
+            write_history(list_index, found.history)
+            add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        else:
+            energy_lost, released = 0.0 * dt, 0
+            if ti.static(transfers):
+                released = release_history(i, list_index, j, pose)
+            if released == 0:
+                energy_lost = end_contact(list_index, constants, bodies, dt)
+            add_plastic_loss(chunk, i, j, energy_lost)
+        return force, torque
+
+    return contact
+
+
+def _build_angular_velocities(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, pose) -> struct of the angular velocities [rad/s] of i and of its partner.
+
+    Reads:  angular_velocity of particles and walls
+    """
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    wall_of = build_wall_of(state)
 
     @ti.func
-    def angular_velocity_of(i):
-        angular_velocity = 0.0 * particles.velocity[i]
+    def angular_velocities_of(i, j, pose):
+        first, partner = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
         if ti.static(features.rotation):
-            angular_velocity = particles.angular_velocity[i]
-        return angular_velocity
+            first = particles.angular_velocity[i]
+        if ti.static(features.rotation and not with_wall):
+            partner = particles.angular_velocity[j]
+        elif ti.static(features.rotation and features.moving_walls):
+            partner = ti.cast(state.walls.angular_velocity[pose, wall_of(j)], real)
+        return ti.Struct(first=first, partner=partner)
+
+    return angular_velocities_of
+
+
+def _build_check_overlap(state: State, with_wall: bool) -> Any:
+    """Device function (i, j, overlap): request an abort if the overlap exceeds the limit.
+
+    Reads:   radius
+    Writes:  abort, abort_particle
+    """
+    particles, control, max_overlap = state.particles, state.control, state.plan.max_overlap
 
     @ti.func
     def check_overlap(i, j, overlap):
         radius_min = particles.radius[i]
         if ti.static(not with_wall):
             radius_min = ti.min(radius_min, particles.radius[j])
-        if overlap > plan.max_overlap * radius_min:
+        if overlap > max_overlap * radius_min:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
-    @ti.func
-    def wall_work(i, j, pose, force, torque, dt):
-        """Work of the wall motion on particle i in this step [J]; prescribed motions only."""
-        work = 0.0 * dt
-        if ti.static(with_wall and features.moving_walls):
-            velocity = geometry.prescribed_velocity(-1 - j, pose, particles.position[i])
-            angular_velocity = state.walls.angular_velocity[pose, wall_of(j)]
-            work = dt * (force.dot(ti.cast(velocity, real)) + torque.dot(ti.cast(angular_velocity, real)))
-        return work
+    return check_overlap
+
+
+def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, j, pose, normal, result of the pair force, time_step): losses, work and wall forces.
+
+    Writes:  losses, boundary_work, impulses, wall_force
+    """
+    features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
+    control, weight, add_boundary_work = state.control, build_weight(state), build_boundary_work(state)
+    measured = with_wall and features.wall_forces
+    force_controlled = with_wall and features.force_controlled_walls
+    add_impulse = build_add_impulse(state) if measured else None
+    _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def add_losses(chunk, share, friction_loss, rolling_loss, damping_loss, work):
+    def add_losses(chunk, share, found, work):
         losses = control.losses[chunk]
-        losses[FRICTION] += share * friction_loss
-        losses[ROLLING] += share * rolling_loss
-        losses[DAMPING] += share * damping_loss
+        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
+            losses[loss] += share * found.losses[k]
         losses[WALL_WORK] += work
         control.losses[chunk] = losses
 
     @ti.func
-    def add_to_accounting(chunk, i, j, pose, normal, force, torque, friction_loss, rolling_loss, damping_loss, dt):
+    def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            work = wall_work(i, j, pose, force, torque, dt)
-            add_losses(chunk, weight(i, j), friction_loss, rolling_loss, damping_loss, work)
+            add_losses(chunk, weight(i, j), found, wall_work(i, j, pose, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
-                add_boundary_work(chunk, i, j, force, pose, dt)
+                add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
-            add_wall_force(chunk, wall_of(j), force)
+            add_wall_force(chunk, wall_of(j), found.force)
         if ti.static(measured):
-            add_impulse(chunk, wall_of(j), i, normal, force, torque, dt)
+            add_impulse(chunk, wall_of(j), i, normal, found.force, found.torque, dt)
+
+    return add_to_accounting
+
+
+def _build_wall_work(state: State, with_wall: bool) -> Any:
+    """Device function: work of the prescribed wall motion on particle i in this step [J].
+
+    Arguments: i, j, pose, result of the pair force, time step [s].
+
+    Reads:  position, velocities of walls
+    """
+    geometry, wall_of, real = WallGeometry(state), build_wall_of(state), state.backend.real
+    moving = with_wall and state.plan.features.moving_walls
 
     @ti.func
-    def contact(chunk, i, list_index, j, pose, dt):
-        force, torque = 0.0 * particles.velocity[i], 0.0 * particles.velocity[i]
-        overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner = pair_kinematics(
-            i, j, pose, dt
-        )
-        constants = control.pair_constants[pair_number(i, j)]
-        radius_eff, mass_eff, inertia_eff = effective(i, j)
-        if overlap > 0.0:
-            check_overlap(i, j, overlap)
-            if ti.static(transfers):
-                acquire_history(i, list_index, j, pose)
-            normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
-            (
-                force,
-                torque,
-                _reaction,
-                normal_history,
-                tangential_displacement,
-                rolling_displacement,
-                friction_loss,
-                rolling_loss,
-                damping_loss,
-            ) = pair_force(
-                constants,
-                radius_eff,
-                mass_eff,
-                inertia_eff,
-                overlap,
-                normal,
-                normal_half,
-                velocity_tangential,
-                overlap_rate_half,
-                rate,
-                arm,
-                arm_partner,
-                angular_velocity_of(i),
-                angular_velocity_of_partner(i, j, pose),
-                normal_history,
-                tangential_displacement,
-                rolling_displacement,
-                dt,
-            )
-            write_history(list_index, normal_history, tangential_displacement, rolling_displacement)
-            add_to_accounting(chunk, i, j, pose, normal, force, torque, friction_loss, rolling_loss, damping_loss, dt)
-        else:
-            energy_lost, released = 0.0 * dt, 0
-            if ti.static(transfers):
-                released = release_history(i, list_index, j, pose)
-            if released == 0:
-                energy_lost = end_contact(list_index, constants, radius_eff, mass_eff, dt)
-            if ti.static(features.energy_budget):
-                control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * energy_lost
-        return force, torque
+    def wall_work(i, j, pose, found, dt):
+        work = 0.0 * dt
+        if ti.static(moving):
+            velocity = geometry.prescribed_velocity(-1 - j, pose, state.particles.position[i])
+            angular_velocity = state.walls.angular_velocity[pose, wall_of(j)]
+            work = dt * (found.force.dot(ti.cast(velocity, real)) + found.torque.dot(ti.cast(angular_velocity, real)))
+        return work
 
-    return contact
+    return wall_work
 
 
 def build_forces(state: State) -> Any:

@@ -1,13 +1,16 @@
 """Contact output: one record per contact. Its arrays exist only if the scene requests contacts."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import taichi as ti
 
-from granflow.contact.complete_force import complete_force
 from granflow.engine.field_block import FieldBlock
+from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
+from granflow.engine.force.structs import build_constants
+from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
@@ -89,12 +92,19 @@ class ContactOutput:
         return owner[is_contact], list_index[is_contact], partner[is_contact], numbers[is_contact]
 
     def _history(self, list_index: np.ndarray, overlap: np.ndarray) -> dict[str, np.ndarray]:
-        """Maximum overlap [m] and restitution (n,) from the history; without a history, the overlap itself and 1."""
-        names, history = self.state.plan.law.history_names, self.state.neighbors.history
+        """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.
+
+        Fields of other models than the normal one have the slot as prefix.
+        """
         found = {"overlap_max": overlap, "restitution": np.ones(len(list_index))}
-        for index, name in enumerate(names):
-            if name in found:
-                found[name] = history["normal"].to_numpy()[list_index, index].astype(float)
+        for slot, fields in self.state.plan.laws.history.items():
+            begin = 0
+            for each in fields:
+                if each.in_output:
+                    columns = self.state.neighbors.history[slot].to_numpy()[list_index, begin : begin + each.size]
+                    name = each.name if slot == "normal" else f"{slot}_{each.name}"
+                    found[name] = (columns if each.size > 1 else columns[:, 0]).astype(float)
+                begin += each.size
         return found
 
 
@@ -109,54 +119,70 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  numbers, force, contact_point of `output`
     """
-    plan, law, particles, neighbors = state.plan, state.plan.law, state.particles, state.neighbors
-    real, history_size = state.backend.real, max(law.history_count, 1)
-    any_kinematics, pair_number, geometry = (
-        build_any_kinematics(state),
-        build_pair_number(state),
-        WallGeometry(state),
-    )
-    normal_force_of, numbers, wrap_position = complete_force(law), output.numbers, build_wrap_position(state)
-
-    @ti.func
-    def contact_point_of(i, j):
-        """Contact point [m] with a wall; for particles the wrapped position of i."""
-        contact_point = wrap_position(particles.position[i])
-        if ti.static(plan.has_walls):
-            if j < 0:
-                gap, direction = geometry.closest(-1 - j, 0, contact_point)
-                contact_point -= gap * direction
-        return contact_point
+    particles, neighbors, real = state.particles, state.neighbors, state.backend.real
+    any_kinematics, pair_number = build_any_kinematics(state), build_pair_number(state)
+    constants_of, read_history = build_constants(state.plan.laws), build_read_history(state)
+    normal_force_of, surface_forces = build_normal_force(state.plan.laws, False), _build_surface_forces(state)
+    numbers, contact_point_of = output.numbers, _build_contact_point(state)
 
     @ti.kernel
     def evaluate(count: ti.i32, dt: real):
         for i in range(count):
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 j = neighbors.partner[list_index]
-                overlap, normal, rate, radius_eff, mass_eff = any_kinematics(i, j, 0, dt)
-                numbers[list_index][OVERLAP] = overlap
-                if overlap > 0.0:
-                    constants = state.control.pair_constants[pair_number(i, j)]
-                    normal_history = ti.Vector.zero(real, history_size)
-                    if ti.static("normal" in neighbors.history):
-                        normal_history = neighbors.history["normal"][list_index]
-                    normal_load, _viscous, _m2 = normal_force_of(
-                        constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
-                    )
-                    force = normal_load * normal
-                    numbers[list_index][NORMAL] = normal_load
-                    numbers[list_index][TANGENTIAL] = 0.0
-                    if ti.static(law.attracts):
-                        normal_load += law.attraction(constants, radius_eff, overlap, normal_history)
-                    numbers[list_index][LIMIT] = constants[plan.friction_index] * normal_load
+                normal, contact = any_kinematics(i, j, 0, dt)
+                numbers[list_index][OVERLAP] = contact.overlap
+                if contact.overlap > 0.0:
+                    constants = constants_of(state.control.pair_constants[pair_number(i, j)])
+                    history = read_history(list_index)
+                    normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
+                    tangential, size, limit = surface_forces(constants, contact, load, history, particles.velocity[i])
+                    numbers[list_index][NORMAL] = normal_force
+                    numbers[list_index][TANGENTIAL] = size
+                    numbers[list_index][LIMIT] = limit
                     output.contact_point[list_index] = contact_point_of(i, j)
-                    if ti.static("tangential" in neighbors.history):
-                        tangential_displacement = neighbors.history["tangential"][list_index]
-                        stiffness = law.tangential_stiffness(constants, radius_eff, overlap, normal_history)
-                        numbers[list_index][TANGENTIAL] = stiffness * ti.sqrt(
-                            tangential_displacement.dot(tangential_displacement)
-                        )
-                        force -= stiffness * tangential_displacement
-                    output.force[list_index] = force
+                    output.force[list_index] = normal_force * normal + tangential
 
     return evaluate
+
+
+def _build_contact_point(state: State) -> Any:
+    """Device function (i, j): contact point [m] with a wall; for particles the wrapped position of i.
+
+    Reads:  position, walls
+    """
+    geometry, wrap_position = WallGeometry(state), build_wrap_position(state)
+
+    @ti.func
+    def contact_point_of(i, j):
+        contact_point = wrap_position(state.particles.position[i])
+        if ti.static(state.plan.has_walls):
+            if j < 0:
+                gap, direction = geometry.closest(-1 - j, 0, contact_point)
+                contact_point -= gap * direction
+        return contact_point
+
+    return contact_point_of
+
+
+def _build_surface_forces(state: State) -> Any:
+    """Device function (constants, contact, load, history, a vector): tangential force [N], its size and limit [N].
+
+    The vector gives the type of the force; without a tangential model all are 0.
+    """
+    laws = state.plan.laws
+
+    @ti.func
+    def surface_forces(constants, contact, load, history, vector):
+        force, size, limit = 0.0 * vector, 0.0 * load, 0.0 * load
+        if ti.static(laws.has_tangential):
+            surface = ti.Struct(
+                radius_eff=contact.radius_eff,
+                normal_load=load,
+                stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+            )
+            force, size = laws.tangential.present_force(constants.tangential, surface, history.tangential)
+            limit = laws.tangential.limit(constants.tangential, surface)
+        return force, size, limit
+
+    return surface_forces

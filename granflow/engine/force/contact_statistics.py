@@ -7,6 +7,8 @@ import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number, build_weight
+from granflow.engine.force.structs import build_constants
+from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
@@ -47,7 +49,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     particles, neighbors, control = state.particles, state.neighbors, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     any_kinematics, weight, pair_number = build_any_kinematics(state), build_weight(state), build_pair_number(state)
-    energies, stride = build_energies(state), state.stride
+    energies, constants_of, stride = build_energies(state), build_constants(state.plan.laws), state.stride
 
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
@@ -60,16 +62,15 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
-                        overlap, _normal, _rate, radius_eff, mass_eff = any_kinematics(i, j, 0, dt)
-                        if overlap > 0.0:
+                        _normal, contact = any_kinematics(i, j, 0, dt)
+                        if contact.overlap > 0.0:
                             share = weight(i, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
-                            relative = overlap / radius_min
-                            elastic, plastic = energies(
-                                list_index, control.pair_constants[pair_number(i, j)], radius_eff, mass_eff, dt, overlap
-                            )
+                            relative = contact.overlap / radius_min
+                            constants = constants_of(control.pair_constants[pair_number(i, j)])
+                            elastic, plastic = energies(list_index, constants, contact)
                             found[COUNT] += share
                             found[OVERLAP_SUM] += share * relative
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
@@ -84,33 +85,41 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
 
 
 def build_energies(state: State) -> Any:
-    """Device function: elastic and dissipated energy [J] of a contact; 0 without the energy budget.
+    """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy budget.
 
-    Arguments: list index, pair constants, effective radius [m], effective mass [kg], time step [s], overlap [m]. The
-    elastic energy includes the tangential and the EPSD rolling spring; the dissipated energy is the plastic work.
+    The stored energy includes that of the tangential, rolling and cohesion models; the lost energy is the plastic work.
 
     Reads:  history
     """
-    plan, law, neighbors = state.plan, state.plan.law, state.neighbors
-    energy_budget, history_size = plan.features.energy_budget, max(state.plan.law.history_count, 1)
-    real = state.backend.real
+    laws, energy_budget, read_history = state.plan.laws, state.plan.features.energy_budget, build_read_history(state)
 
     @ti.func
-    def energies(list_index, constants, radius_eff, mass_eff, dt, overlap):
-        elastic, plastic = 0.0 * overlap, 0.0 * overlap
+    def with_surface_energy(normal_energy, constants, contact, history):
+        """The stored energy [J] with that of the tangential and the rolling model."""
+        stored = normal_energy
+        surface = ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            overlap=contact.overlap,
+            stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+        )
+        if ti.static(laws.has_tangential):
+            stored += laws.tangential.stored_energy(constants.tangential, surface, history.tangential)
+        if ti.static(laws.has_rolling):
+            stored += laws.rolling.stored_energy(constants.rolling, surface, history.rolling)
+        return stored
+
+    @ti.func
+    def energies(list_index, constants, contact):
+        stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
         if ti.static(energy_budget):
-            normal_history = ti.Vector.zero(real, history_size)
-            if ti.static("normal" in neighbors.history):
-                normal_history = neighbors.history["normal"][list_index]
-            elastic += law.stored_energy(constants, radius_eff, mass_eff, dt, overlap, normal_history)
-            plastic += law.lost_energy(constants, radius_eff, mass_eff, dt, overlap, normal_history)
-            stiffness = law.tangential_stiffness(constants, radius_eff, overlap, normal_history)
-            if ti.static("tangential" in neighbors.history):
-                tangential_displacement = neighbors.history["tangential"][list_index]
-                elastic += 0.5 * stiffness * tangential_displacement.dot(tangential_displacement)
-            if ti.static(plan.features.rolling == "epsd"):
-                rolling_displacement = neighbors.history["rolling"][list_index]
-                elastic += 0.5 * stiffness * radius_eff * radius_eff * rolling_displacement.dot(rolling_displacement)
-        return elastic, plastic
+            history = read_history(list_index)
+            stored += laws.normal.stored_energy(constants.normal, contact, history.normal)
+            lost += laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if ti.static(laws.has_cohesion):
+                stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
+                lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+            stored = with_surface_energy(stored, constants, contact, history)
+        return stored, lost
 
     return energies

@@ -8,6 +8,7 @@ import taichi as ti
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_sphere_kinematics
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_number
+from granflow.engine.force.structs import build_constants
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
@@ -62,7 +63,7 @@ def _build_square(state: State) -> Any:
 
     For a pair without overlap v is the approach velocity, 0 if the pair separates.
     """
-    control, modulus = state.control, state.plan.law.constant_names.index("modulus_eff")
+    control, constants_of = state.control, build_constants(state.plan.laws)
     overlap_and_rate, pair_number = _build_overlap_and_rate(state), build_pair_number(state)
     effective, wall_effective = build_effective(state, False), build_effective(state, True)
 
@@ -71,11 +72,12 @@ def _build_square(state: State) -> Any:
         overlap, rate = overlap_and_rate(i, j, dt)
         found = ti.max(rate, 0.0) ** 2
         if overlap > 0.0:
-            radius_eff, mass_eff, _inertia = wall_effective(i, j)
+            bodies = wall_effective(i, j)
             if j >= 0:
-                radius_eff, mass_eff, _inertia = effective(i, j)
-            k = 4.0 / 3.0 * control.pair_constants[pair_number(i, j)][modulus] * ti.sqrt(radius_eff)
-            found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / mass_eff
+                bodies = effective(i, j)
+            constants = constants_of(control.pair_constants[pair_number(i, j)])
+            k = 4.0 / 3.0 * constants.normal.modulus_eff * ti.sqrt(bodies.radius_eff)
+            found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / bodies.mass_eff
         return found
 
     return energy_velocity_squared
@@ -96,9 +98,10 @@ def _build_overlap_and_rate(state: State) -> Any:
         if j >= 0:
             branch = ti.cast(minimum_image(particles.position[i], particles.position[j], 0), real)
             velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, 0)
-            overlap, _n, _m, _c, rate, _r, _a, _p = sphere_kinematics(
+            kinematics = sphere_kinematics(
                 particles.radius[i], particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
             )
+            overlap, rate = kinematics.overlap, kinematics.overlap_rate_half
         elif ti.static(has_walls):
             gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
             surface = geometry.surface_velocity(-1 - j, 0, particles.position[i])

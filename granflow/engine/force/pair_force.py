@@ -8,9 +8,7 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.contact.complete_force import complete_force
-from granflow.contact.rolling.rolling import directional_torque, torque_loss
-from granflow.contact.tangential.mindlin import elastic_plastic_spring, rotated_displacement, spring_loss
+from granflow.contact.laws import ContactLaws
 from granflow.plan.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
@@ -35,9 +33,9 @@ def build_sphere_kinematics(plan: Plan) -> Any:
     """Device function: kinematics of two spheres in contact, relative to the first.
 
     Arguments: radii [m], `branch` vector from the second to the first [m], relative velocity at the half step and now
-    [m/s], time step [s]. Returns overlap [m], normal, mean of the present and the previous normal, tangential relative
-    velocity at the half step [m/s], overlap rate at the half step and now [m/s] (positive if approaching), and the
-    lever arms of both [m].
+    [m/s], time step [s]. Returns a struct of overlap [m], normal, mean of the present and the previous normal,
+    tangential relative velocity at the half step [m/s], overlap rate at the half step and now [m/s] (positive if
+    approaching), and the lever arms of both [m].
     """
     rate_dependent = plan.features.rate_dependent
 
@@ -53,11 +51,17 @@ def build_sphere_kinematics(plan: Plan) -> Any:
         if ti.static(rate_dependent):
             rate = -velocity_rel.dot(normal)
         velocity_tangential = velocity_rel_half + overlap_rate_half * normal
-        normal_half = normal - (0.5 * dt * inverse) * velocity_tangential
         ratio = overlap / contact_distance
-        arm = radius - ratio * radius_partner
-        arm_partner = radius_partner - ratio * radius
-        return overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner
+        return ti.Struct(
+            overlap=overlap,
+            normal=normal,
+            normal_half=normal - (0.5 * dt * inverse) * velocity_tangential,
+            velocity_tangential=velocity_tangential,
+            overlap_rate_half=overlap_rate_half,
+            overlap_rate=rate,
+            arm=radius - ratio * radius_partner,
+            arm_partner=radius_partner - ratio * radius,
+        )
 
     return sphere_kinematics
 
@@ -68,123 +72,120 @@ def effective_value(one, other):
     return one * other / (one + other)
 
 
+def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
+    """Device function (constants, contact, history): normal force of one contact, cohesion included.
+
+    is_prepared:  True if `NormalLaw.prepare` has been evaluated before
+    Returns:      normal force [N], load [N] that presses the surfaces together, viscous force [N], history
+    """
+    normal, cohesion = laws.normal, laws.cohesion
+
+    @ti.func
+    def normal_force_of(constants, contact, history):
+        history_new = history
+        if ti.static(normal.prepares and not is_prepared):
+            history_new.normal = normal.prepare(constants.normal, contact, history.normal)
+        force, viscous, normal_history = normal.force(constants.normal, contact, history_new.normal)
+        history_new.normal = normal_history
+        attraction = 0.0 * force
+        if ti.static(laws.has_cohesion):
+            attraction, cohesion_history = cohesion.force(constants.cohesion, contact, history.cohesion)
+            history_new.cohesion = cohesion_history
+            force -= attraction
+        if ti.static(normal.attracts):
+            attraction += normal.attraction(constants.normal, contact, normal_history)
+        load = force
+        if ti.static(laws.attracts):
+            load += attraction
+        return force, load, viscous, history_new
+
+    return normal_force_of
+
+
+def build_surface_contact(plan: Plan) -> Any:
+    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.law`.
+
+    Arguments: pair constants, struct `contact`, load [N], history, and structs as for `build_pair_force`.
+    """
+    law, longest_time_step = plan.laws.normal, plan.longest_time_step
+
+    @ti.func
+    def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities):
+        ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
+        if ti.static(law.tangential_stiffness_grows):
+            overlap_before = contact.overlap - contact.time_step * kinematics.overlap_rate_half
+            ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
+        rotation = kinematics.arm * angular_velocities.first + kinematics.arm_partner * angular_velocities.partner
+        return ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            inertia_eff=bodies.inertia_eff,
+            time_step=contact.time_step,
+            longest_time_step=longest_time_step,
+            overlap=contact.overlap,
+            overlap_rate=contact.overlap_rate,
+            normal=kinematics.normal,
+            normal_half=kinematics.normal_half,
+            normal_load=load,
+            stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
+            stiffness_ratio=ratio,
+            slip=contact.time_step * (kinematics.velocity_tangential - rotation.cross(kinematics.normal)),
+            rolling_rate=angular_velocities.first - angular_velocities.partner,
+        )
+
+    return surface_contact
+
+
 def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     """Device function: force and torques of one contact in a step.
 
     is_prepared:  True if `NormalLaw.prepare` has been evaluated before
 
-    Arguments: pair constants; effective radius [m], mass [kg] and inertia [kg m2]; kinematics of
-    `build_sphere_kinematics`; angular velocities of both [rad/s]; normal history, tangential displacement [m], rolling
-    displacement; time step [s].
+    Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2]; kinematics
+    of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the partner [rad/s]; history;
+    time step [s].
 
-    Returns the force on the first [N], the torques on both [N m], the three histories, and the energy [J] dissipated in
-    this step by friction, rolling and damping.
+    Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses (friction,
+    rolling, damping): energy [J] dissipated in this step.
     """
-    law, features = plan.law, plan.features
-    normal_force_of = law.force if is_prepared else complete_force(law)
-    friction_index, rolling_index = plan.friction_index, plan.rolling_index
-    rolling_torque = _build_rolling_torque(plan)
+    features, laws, tangential, rolling = plan.features, plan.laws, plan.laws.tangential, plan.laws.rolling
+    normal_force_of, surface_contact = build_normal_force(plan.laws, is_prepared), build_surface_contact(plan)
 
     @ti.func
-    def stiffness_ratio(overlap, overlap_rate_half, dt):
-        """Ratio of the previous to the present tangential stiffness, sqrt(d(t - dt) / d(t)) for Hertz contacts."""
-        ratio = 0.0 * overlap + 1.0
-        if ti.static(law.tangential_stiffness_grows):
-            ratio = ti.sqrt(ti.max(overlap - dt * overlap_rate_half, 0.0) / overlap)
-        return ratio
-
-    @ti.func
-    def pair_force(
-        constants, radius_eff, mass_eff, inertia_eff, overlap, normal, normal_half, velocity_tangential,
-        overlap_rate_half, rate, arm, arm_partner, angular_velocity, angular_velocity_partner, normal_history,
-        tangential_displacement, rolling_displacement, dt,
-    ):  # fmt: skip
-        normal_force, viscous, normal_history_new = normal_force_of(
-            constants, radius_eff, mass_eff, dt, overlap, rate, normal_history
+    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt):
+        contact = ti.Struct(
+            radius_eff=bodies.radius_eff,
+            mass_eff=bodies.mass_eff,
+            time_step=dt,
+            overlap=kinematics.overlap,
+            overlap_rate=kinematics.overlap_rate,
         )
-        force = normal_force * normal
-        torque, torque_partner = 0.0 * normal, 0.0 * normal
-        tangential_displacement_new, rolling_displacement_new = tangential_displacement, rolling_displacement
-        friction_loss, rolling_loss = 0.0 * overlap, 0.0 * overlap
+        normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
+        force = normal_force * kinematics.normal
+        torque, torque_partner = 0.0 * force, 0.0 * force
+        friction_loss, rolling_loss = 0.0 * load, 0.0 * load
         if ti.static(features.rotation):
-            normal_load = normal_force
-            if ti.static(law.attracts):
-                normal_load += law.attraction(constants, radius_eff, overlap, normal_history_new)
-            stiffness = law.tangential_stiffness(constants, radius_eff, overlap, normal_history_new)
-            ratio = stiffness_ratio(overlap, overlap_rate_half, dt)
-            if ti.static(features.friction):
-                slip = dt * (
-                    velocity_tangential
-                    - (arm * angular_velocity + arm_partner * angular_velocity_partner).cross(normal)
+            surface = surface_contact(constants, contact, load, history_new, bodies, kinematics, angular_velocities)
+            if ti.static(laws.has_tangential):
+                tangential_force, tangential_history, friction_loss = tangential.force(
+                    constants.tangential, surface, history.tangential
                 )
-                rotated = rotated_displacement(tangential_displacement, normal, normal_half)
-                friction_limit = constants[friction_index] * normal_load
-                tangential, tangential_displacement_new = elastic_plastic_spring(
-                    stiffness, ratio, friction_limit, rotated, slip
+                force += tangential_force
+                moment = kinematics.normal.cross(tangential_force)
+                torque, torque_partner = -kinematics.arm * moment, -kinematics.arm_partner * moment
+                history_new.tangential = tangential_history
+            if ti.static(laws.has_rolling):
+                rolling_torque, rolling_history, rolling_loss = rolling.torque(
+                    constants.rolling, surface, history.rolling
                 )
-                force += tangential
-                moment = normal.cross(tangential)
-                torque, torque_partner = -arm * moment, -arm_partner * moment
-                if ti.static(features.energy_budget):
-                    friction_loss = spring_loss(
-                        stiffness, ratio, rotated, slip, tangential, tangential_displacement_new
-                    )
-            if ti.static(features.rolling != "none"):
-                torque_rolling, rolling_displacement_new, rolling_loss = rolling_torque(
-                    stiffness,
-                    ratio,
-                    constants[rolling_index],
-                    normal_load,
-                    radius_eff,
-                    inertia_eff,
-                    normal,
-                    normal_half,
-                    angular_velocity - angular_velocity_partner,
-                    rolling_displacement,
-                    dt,
-                )
-                torque, torque_partner = torque + torque_rolling, torque_partner - torque_rolling
-        return (
-            force, torque, torque_partner, normal_history_new, tangential_displacement_new, rolling_displacement_new,
-            friction_loss, rolling_loss, viscous * rate * dt,
-        )  # fmt: skip
+                torque, torque_partner = torque + rolling_torque, torque_partner - rolling_torque
+                history_new.rolling = rolling_history
+        return ti.Struct(
+            force=force,
+            torque=torque,
+            torque_partner=torque_partner,
+            history=history_new,
+            losses=ti.Vector([friction_loss, rolling_loss, viscous * kinematics.overlap_rate * dt]),
+        )
 
     return pair_force
-
-
-def _build_rolling_torque(plan: Plan) -> Any:
-    """Device function: rolling torque on the first [N m], rolling history, dissipated energy [J].
-
-    The history (`rolling_displacement`) is the rolling displacement of EPSD [rad]; with CDT and the energy budget it is
-    the torque of the previous step [N m]. See `laws/rolling.py`.
-    """
-    epsd, energy_budget, longest_step = (
-        plan.features.rolling == "epsd",
-        plan.features.energy_budget,
-        plan.longest_time_step,
-    )
-
-    @ti.func
-    def rolling_torque(
-        stiffness, ratio, mu, normal_force, radius_eff, inertia_eff, normal, normal_half, rate, rolling_displacement, dt
-    ):
-        rate_tangential = rate - rate.dot(normal) * normal
-        torque, rolling_displacement_new, energy_lost = 0.0 * rate_tangential, rolling_displacement, 0.0 * stiffness
-        if ti.static(epsd):
-            rotated = rotated_displacement(rolling_displacement, normal, normal_half)
-            spring = stiffness * radius_eff * radius_eff
-            torque, rolling_displacement_new = elastic_plastic_spring(
-                spring, ratio, mu * radius_eff * normal_force, rotated, dt * rate_tangential
-            )
-            if ti.static(energy_budget):
-                energy_lost = spring_loss(
-                    spring, ratio, rotated, dt * rate_tangential, torque, rolling_displacement_new
-                )
-        else:
-            torque = directional_torque(radius_eff, mu, normal_force, rate_tangential, inertia_eff, longest_step)
-            if ti.static(energy_budget):
-                energy_lost = torque_loss(rolling_displacement, torque, rate, dt)
-                rolling_displacement_new = torque
-        return torque, rolling_displacement_new, energy_lost
-
-    return rolling_torque

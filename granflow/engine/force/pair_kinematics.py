@@ -16,13 +16,27 @@ def build_pair_kinematics(state: State, with_wall: bool) -> Any:
 
     with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
 
-    Returns overlap [m] (<= 0 without contact), normal from j to i, mean of the present and the previous normal,
-    tangential velocity of i relative to j at the half step [m/s], overlap rate at the half step and at the time of the
-    positions [m/s] (positive if approaching), lever arms of both [m].
+    Returns the struct of `build_sphere_kinematics`; without contact, only the overlap is valid, and not above 0.
 
     Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
     return _build_wall_kinematics(state) if with_wall else _build_particle_kinematics(state)
+
+
+@ti.func
+def no_contact(overlap, vector):
+    """Kinematics of a pair without contact; `vector` has the type of the 3-vectors."""
+    zero, nothing = 0.0 * vector, 0.0 * overlap
+    return ti.Struct(
+        overlap=overlap,
+        normal=zero,
+        normal_half=zero,
+        velocity_tangential=zero,
+        overlap_rate_half=nothing,
+        overlap_rate=nothing,
+        arm=nothing,
+        arm_partner=nothing,
+    )
 
 
 def _build_particle_kinematics(state: State) -> Any:
@@ -34,9 +48,7 @@ def _build_particle_kinematics(state: State) -> Any:
     @ti.func
     def particle_kinematics(i, j, pose, time_step):
         radius, radius_partner = particles.radius[i], particles.radius[j]
-        zero = 0.0 * particles.velocity[i]
-        overlap, rate, arm, arm_partner = -radius, 0.0 * radius, radius, radius_partner
-        normal, normal_half, velocity_tangential, overlap_rate_half = zero, zero, zero, 0.0 * radius
+        found = no_contact(-radius, particles.velocity[i])
         branch = ti.cast(minimum_image(particles.position[i], particles.position[j], pose), real)
         if in_contact(branch.dot(branch), radius + radius_partner):
             velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
@@ -45,10 +57,8 @@ def _build_particle_kinematics(state: State) -> Any:
                 velocity_rel = (
                     particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
                 )
-            overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner = (
-                sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
-            )
-        return overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner
+            found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
+        return found
 
     return particle_kinematics
 
@@ -61,37 +71,28 @@ def _build_wall_kinematics(state: State) -> Any:
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
         radius = particles.radius[i]
-        zero = 0.0 * particles.velocity[i]
-        normal, normal_half, velocity_tangential, overlap_rate_half, rate = zero, zero, zero, 0.0 * radius, 0.0 * radius
         gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
-        overlap = ti.cast(radius - gap, real)
-        if overlap > 0.0:
-            normal = ti.cast(direction, real)
+        found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
+        found.arm = radius - found.overlap
+        if found.overlap > 0.0:
+            found.normal = ti.cast(direction, real)
             contact_point = particles.position[i] - gap * direction
             surface = ti.cast(geometry.surface_velocity(-1 - j, pose, contact_point), real)
             velocity_rel_half = particles.velocity[i] - surface
-            overlap_rate_half = -velocity_rel_half.dot(normal)
-            rate = overlap_rate_half
+            found.overlap_rate_half = -velocity_rel_half.dot(found.normal)
+            found.overlap_rate = found.overlap_rate_half
             if ti.static(features.rate_dependent):
-                rate = -(particles.velocity_synchronized[i] - surface).dot(normal)
-            velocity_tangential = velocity_rel_half + overlap_rate_half * normal
-            normal_half = normal - (0.5 * time_step / ti.max(ti.cast(gap, real), 0.5 * radius)) * velocity_tangential
-        return (
-            overlap,
-            normal,
-            normal_half,
-            velocity_tangential,
-            overlap_rate_half,
-            rate,
-            radius - overlap,
-            0.0 * radius,
-        )
+                found.overlap_rate = -(particles.velocity_synchronized[i] - surface).dot(found.normal)
+            found.velocity_tangential = velocity_rel_half + found.overlap_rate_half * found.normal
+            distance = ti.max(ti.cast(gap, real), 0.5 * radius)
+            found.normal_half = found.normal - (0.5 * time_step / distance) * found.velocity_tangential
+        return found
 
     return wall_kinematics
 
 
 def build_effective(state: State, with_wall: bool) -> Any:
-    """Device function (i, j): effective radius [m], mass [kg] and moment of inertia [kg m2] of a pair.
+    """Device function (i, j) -> struct `bodies`: effective radius [m], mass [kg] and inertia [kg m2] of a pair.
 
     a b / (a + b) for two particles, the value of the particle for a wall; a fixed particle has a very large mass.
 
@@ -110,7 +111,7 @@ def build_effective(state: State, with_wall: bool) -> Any:
             radius_eff = effective_value(radius_eff, particles.radius[j])
             mass_eff = effective_value(mass_eff, contact_mass(j))
             inertia_eff = effective_value(inertia_eff, inertia(j))
-        return radius_eff, mass_eff, inertia_eff
+        return ti.Struct(radius_eff=radius_eff, mass_eff=mass_eff, inertia_eff=inertia_eff)
 
     return effective
 
@@ -118,7 +119,7 @@ def build_effective(state: State, with_wall: bool) -> Any:
 def build_any_kinematics(state: State) -> Any:
     """Device function (i, j, pose, time_step): kinematics for particles and walls alike, where speed does not matter.
 
-    Returns (overlap [m], normal, overlap rate [m/s], effective radius [m], effective mass [kg]).
+    Returns the normal, and the struct `contact` of the contact models.
 
     Reads:  as `build_pair_kinematics`
     """
@@ -126,18 +127,24 @@ def build_any_kinematics(state: State) -> Any:
     particle_kinematics, particle_effective = build_pair_kinematics(state, False), build_effective(state, False)
     wall_kinematics = build_pair_kinematics(state, True) if has_walls else particle_kinematics
     wall_effective = build_effective(state, True)
-    particles = state.particles
 
     @ti.func
     def any_kinematics(i, j, pose, time_step):
-        overlap, rate, normal = 0.0 * particles.radius[i], 0.0 * particles.radius[i], 0.0 * particles.velocity[i]
-        radius_eff, mass_eff, _inertia = wall_effective(i, j)
+        bodies = wall_effective(i, j)
+        found = no_contact(0.0 * bodies.radius_eff, state.particles.velocity[i])
         if j < 0:
-            overlap, normal, _m, _c, _l, rate, _a, _p = wall_kinematics(i, j, pose, time_step)
+            found = wall_kinematics(i, j, pose, time_step)
         else:
-            radius_eff, mass_eff, _inertia = particle_effective(i, j)
-            overlap, normal, _m2, _c2, _l2, rate, _a2, _p2 = particle_kinematics(i, j, pose, time_step)
-        return overlap, normal, rate, radius_eff, mass_eff
+            bodies = particle_effective(i, j)
+            found = particle_kinematics(i, j, pose, time_step)
+        contact = ti.Struct(
+            radius_eff=bodies.radius_eff,
+            mass_eff=bodies.mass_eff,
+            time_step=time_step,
+            overlap=found.overlap,
+            overlap_rate=found.overlap_rate,
+        )
+        return found.normal, contact
 
     return any_kinematics
 

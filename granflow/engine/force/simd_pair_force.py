@@ -16,12 +16,19 @@ from granflow.engine.force.pair_force import (
     effective_value,
 )
 from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number, build_weight
+from granflow.engine.force.structs import (
+    build_constants,
+    build_read_slots,
+    build_slot_history,
+    build_slot_vector,
+    member,
+)
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.limits import ABORT_OVERLAP
-from granflow.engine.neighbor.contact_history import build_end_contact, build_read_history
+from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import LANES, State
-from granflow.plan.chunk_sums import DAMPING, FRICTION, PLASTIC, ROLLING
+from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
 
 BATCH = 128
 """Number of contacts at which a batch is complete; no further neighbor list is added."""
@@ -80,14 +87,14 @@ def _build_collect(state: State) -> Any:
     )
     real, has_history = state.backend.real, bool(neighbors.history)
     in_contact, end_contact, pair_number = build_in_contact(real), build_end_contact(state), build_pair_number(state)
-    effective, weight, minimum_image = build_effective(state, False), build_weight(state), build_minimum_image(state)
+    effective, minimum_image = build_effective(state, False), build_minimum_image(state)
+    constants_of, add_plastic_loss = build_constants(plan.laws), build_add_plastic_loss(state)
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
-        radius_eff, mass_eff, _inertia = effective(i, j)
-        energy_lost = end_contact(list_index, control.pair_constants[pair_number(i, j)], radius_eff, mass_eff, dt)
-        if ti.static(plan.features.energy_budget):
-            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + weight(i, j) * energy_lost
+        constants = constants_of(control.pair_constants[pair_number(i, j)])
+        energy_lost = end_contact(list_index, constants, effective(i, j), dt)
+        add_plastic_loss(chunk, i, j, energy_lost)
 
     @ti.func
     def check_overlap(i, square, reach, radius_min):
@@ -131,28 +138,21 @@ def _build_gather(state: State) -> Any:
     Writes:  columns of the batch
     """
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
-    law, features = plan.law, plan.features
-    read_history, pair_number, has_prepare = (
-        build_read_history(state),
-        build_pair_number(state),
-        law.prepare is not None,
+    features, stored, pair_number = plan.features, state.neighbors.history, build_pair_number(state)
+    slots, law_prepares = list(stored), plan.laws.normal.prepares
+    image_velocity, contact_mass, prepare = (
+        build_image_velocity(state),
+        build_contact_mass(state),
+        _build_prepare(state),
     )
-    image_velocity = build_image_velocity(state)
-    contact_mass = build_contact_mass(state)
 
     @ti.func
-    def prepared(constants, worker, entry, i, j, velocity_rel_half, velocity_rel, normal_history, dt):
-        """Evaluate the branches of the contact model."""
-        branch = ti.Vector(
-            [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
-        )
-        distance = ti.sqrt(branch.dot(branch))
-        radius, radius_partner = particles.radius[i], particles.radius[j]
-        rate = -velocity_rel.dot(1.0 / distance * branch)
-        return law.prepare(
-            constants, effective_value(radius, radius_partner), effective_value(contact_mass(i), contact_mass(j)), dt,
-            radius + radius_partner - distance, rate, normal_history
-        )  # fmt: skip
+    def gather_history(worker, entry, i, j, list_index, velocity_rel, dt):
+        for slot in ti.static(slots):
+            vector = stored[slot][list_index]
+            if ti.static(slot == "normal" and law_prepares):
+                vector = prepare(worker, entry, i, j, velocity_rel, vector, dt)
+            store_vector(batch.history[slot], worker, entry, vector)
 
     @ti.func
     def gather(worker, end, pose, dt):
@@ -172,27 +172,84 @@ def _build_gather(state: State) -> Any:
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
-            normal_history, tangential_displacement, rolling_displacement = read_history(list_index)
-            number = pair_number(i, j)
-            if ti.static(has_prepare):
-                normal_history = prepared(
-                    control.pair_constants[number],
-                    worker,
-                    entry,
-                    i,
-                    j,
-                    velocity_rel_half,
-                    velocity_rel,
-                    normal_history,
-                    dt,
-                )
+            gather_history(worker, entry, i, j, list_index, velocity_rel, dt)
             if ti.static(not features.one_material):
-                store_vector(batch.constants, worker, entry, control.pair_constants[number])
-            store_vector(batch.normal_history, worker, entry, normal_history)
-            store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
-            store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
+                store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
 
     return gather
+
+
+def _build_prepare(state: State) -> Any:
+    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal history.
+
+    Evaluates the branches of the normal model.
+
+    Reads:  branch vector of the batch, radius, mass, pair_constants
+    """
+    plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
+    constants_of, pair_number = build_constants(plan.laws), build_pair_number(state)
+    history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
+    contact_mass = build_contact_mass(state)
+
+    @ti.func
+    def prepare(worker, entry, i, j, velocity_rel, vector, dt):
+        branch = ti.Vector(
+            [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
+        )
+        distance = ti.sqrt(branch.dot(branch))
+        radius, radius_partner = particles.radius[i], particles.radius[j]
+        contact = ti.Struct(
+            radius_eff=effective_value(radius, radius_partner),
+            mass_eff=effective_value(contact_mass(i), contact_mass(j)),
+            time_step=dt,
+            overlap=radius + radius_partner - distance,
+            overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
+        )
+        constants = constants_of(state.control.pair_constants[pair_number(i, j)])
+        return vector_of(law.prepare(constants.normal, contact, history_of(vector)))
+
+    return prepare
+
+
+def _build_load(state: State) -> Any:
+    """Device functions (worker, entry) that load vectors, bodies, angular velocities and history from the columns.
+
+    Reads:  columns of the batch
+    """
+    batch, real, sizes = state.batch, state.backend.real, state.plan.history
+
+    @ti.func
+    def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
+        """Vector of `count` components from columns; zeros without columns."""
+        vector = ti.Vector.zero(real, count)
+        for k in ti.static(range(len(columns))):
+            vector[k] = columns[k][worker, entry]
+        return vector
+
+    @ti.func
+    def load_bodies(worker, entry):
+        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
+        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
+        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
+        return ti.Struct(
+            radius_eff=effective_value(radius, radius_partner),
+            mass_eff=effective_value(mass, mass_partner),
+            inertia_eff=effective_value(inertia, inertia_partner),
+        )
+
+    @ti.func
+    def load_angular_velocities(worker, entry):
+        return ti.Struct(
+            first=load_vector(batch.angular_velocity, worker, entry, 3),
+            partner=load_vector(batch.angular_velocity_partner, worker, entry, 3),
+        )
+
+    @ti.func
+    def load_slot(slot: ti.template(), worker, entry):
+        return load_vector(batch.history[slot], worker, entry, sizes[slot])
+
+    load_history = build_read_slots(state.plan.laws, load_slot, sizes)
+    return load_vector, load_bodies, load_angular_velocities, load_history
 
 
 def _build_evaluate(state: State) -> Any:
@@ -205,30 +262,14 @@ def _build_evaluate(state: State) -> Any:
     Writes:  columns of the batch
     """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
-    features, size, constant_count = plan.features, max(plan.law.history_count, 1), plan.pair_constants.shape[1]
+    features, constant_count = plan.features, plan.pair_constants.shape[1]
+    slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
     sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
+    load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
+    constants_of = build_constants(plan.laws)
 
     @ti.func
-    def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
-        """Vector of `count` components from columns; zeros without columns."""
-        vector = ti.Vector.zero(real, count)
-        for k in ti.static(range(len(columns))):
-            vector[k] = columns[k][worker, entry]
-        return vector
-
-    @ti.func
-    def effective(worker, entry):
-        """Effective radius [m], mass [kg] and moment of inertia [kg m2] of an entry."""
-        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
-        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
-        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
-        return (
-            effective_value(radius, radius_partner), effective_value(mass, mass_partner),
-            effective_value(inertia, inertia_partner)
-        )  # fmt: skip
-
-    @ti.func
-    def kinematics(worker, entry, dt):
+    def kinematics_of(worker, entry, dt):
         return sphere_kinematics(
             batch.radius[worker, entry],
             batch.radius_partner[worker, entry],
@@ -238,64 +279,32 @@ def _build_evaluate(state: State) -> Any:
             dt,
         )
 
+    @ti.func
+    def store_results(worker, entry, found):
+        store_vector(batch.branch, worker, entry, found.force)
+        store_vector(batch.angular_velocity, worker, entry, found.torque)
+        store_vector(batch.angular_velocity_partner, worker, entry, found.torque_partner)
+        for slot, vector_of in ti.static(slots):
+            store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
+        if ti.static(features.energy_budget):
+            store_vector(batch.losses, worker, entry, found.losses)
+
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
         shared = control.pair_constants[0]
         for entry in range(end):
-            constants = shared
+            row = shared
             if ti.static(not features.one_material):
-                constants = load_vector(batch.constants, worker, entry, constant_count)
-            overlap, normal, normal_half, velocity_tangential, overlap_rate_half, rate, arm, arm_partner = kinematics(
-                worker, entry, dt
-            )
-            radius_eff, mass_eff, inertia_eff = effective(worker, entry)
-            angular_velocity, angular_velocity_partner = (
-                load_vector(batch.angular_velocity, worker, entry, 3),
-                load_vector(batch.angular_velocity_partner, worker, entry, 3),
-            )
-            normal_history, tangential_displacement = (
-                load_vector(batch.normal_history, worker, entry, size),
-                load_vector(batch.tangential_displacement, worker, entry, 3),
-            )
-            rolling_displacement = load_vector(batch.rolling_displacement, worker, entry, 3)
-            (
-                force,
-                torque,
-                torque_partner,
-                normal_history,
-                tangential_displacement,
-                rolling_displacement,
-                friction_loss,
-                rolling_loss,
-                damping_loss,
-            ) = pair_force(
-                constants,
-                radius_eff,
-                mass_eff,
-                inertia_eff,
-                overlap,
-                normal,
-                normal_half,
-                velocity_tangential,
-                overlap_rate_half,
-                rate,
-                arm,
-                arm_partner,
-                angular_velocity,
-                angular_velocity_partner,
-                normal_history,
-                tangential_displacement,
-                rolling_displacement,
+                row = load_vector(batch.constants, worker, entry, constant_count)
+            found = pair_force(
+                constants_of(row),
+                load_bodies(worker, entry),
+                kinematics_of(worker, entry, dt),
+                load_angular_velocities(worker, entry),
+                load_history(worker, entry),
                 dt,
             )
-            store_vector(batch.branch, worker, entry, force)
-            store_vector(batch.angular_velocity, worker, entry, torque)
-            store_vector(batch.angular_velocity_partner, worker, entry, torque_partner)
-            store_vector(batch.normal_history, worker, entry, normal_history)
-            store_vector(batch.tangential_displacement, worker, entry, tangential_displacement)
-            store_vector(batch.rolling_displacement, worker, entry, rolling_displacement)
-            if ti.static(features.energy_budget):
-                store_vector(batch.losses, worker, entry, ti.Vector([friction_loss, rolling_loss, damping_loss]))
+            store_results(worker, entry, found)
 
     return evaluate
 
@@ -315,7 +324,7 @@ def _build_scatter(state: State) -> Any:
         state.control,
         state.batch,
     )
-    features, history = plan.features, neighbors.history
+    features, history, slots = plan.features, neighbors.history, list(neighbors.history)
     weight, add_boundary_work = build_weight(state), build_boundary_work(state)
 
     @ti.func
@@ -326,13 +335,9 @@ def _build_scatter(state: State) -> Any:
     def store_history(worker, entry, list_index):
         if ti.static(len(history) > 0):
             neighbors.in_contact[list_index] = 1
-        if ti.static("normal" in history):
-            for k in ti.static(range(len(batch.normal_history))):
-                history["normal"][list_index][k] = batch.normal_history[k][worker, entry]
-        if ti.static("tangential" in history):
-            history["tangential"][list_index] = vector_of(batch.tangential_displacement, worker, entry)
-        if ti.static("rolling" in history):
-            history["rolling"][list_index] = vector_of(batch.rolling_displacement, worker, entry)
+        for slot in ti.static(slots):
+            for k in ti.static(range(len(batch.history[slot]))):
+                history[slot][list_index][k] = batch.history[slot][k][worker, entry]
 
     @ti.func
     def add_losses(worker, chunk, i, j, entry):

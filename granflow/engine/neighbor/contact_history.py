@@ -4,84 +4,101 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.engine.force.pair_kinematics import build_weight
+from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
+from granflow.plan.chunk_sums import PLASTIC
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
 
 
 def build_read_history(state: State) -> Any:
-    """Device function (list index) -> (normal history, tangential and rolling displacement); absent ones are 0.
-
-    normal:      (h,) in the order of `NormalLaw.history_names`, at least one component
-    tangential:  3-vector [m]
-    rolling:     3-vector [rad]; with CDT and the energy budget the torque of the previous step [N m]
+    """Device function (list index) -> struct of slots, each a struct of the history fields of its model.
 
     Reads:  history
     """
-    history, real = state.neighbors.history, state.backend.real
-    size = max(state.plan.law.history_count, 1)
+    stored = state.neighbors.history
+
+    @ti.func
+    def read_vector(slot: ti.template(), list_index, _):
+        return stored[slot][list_index]
+
+    read_slots = build_read_slots(state.plan.laws, read_vector, stored)
 
     @ti.func
     def read_history(list_index):
-        normal_history, tangential_displacement, rolling_displacement = (
-            ti.Vector.zero(real, size),
-            ti.Vector.zero(real, 3),
-            ti.Vector.zero(real, 3),
-        )
-        if ti.static("normal" in history):
-            normal_history = history["normal"][list_index]
-        if ti.static("tangential" in history):
-            tangential_displacement = history["tangential"][list_index]
-        if ti.static("rolling" in history):
-            rolling_displacement = history["rolling"][list_index]
-        return normal_history, tangential_displacement, rolling_displacement
+        return read_slots(list_index, 0)
 
     return read_history
 
 
 def build_write_history(state: State) -> Any:
-    """Device function (list index, normal history, tangential and rolling displacement): write them; set IN_CONTACT.
+    """Device function (list index, history struct): write the history; set IN_CONTACT.
 
     Writes:  history, in_contact
     """
-    neighbors, history = state.neighbors, state.neighbors.history
+    neighbors, stored = state.neighbors, state.neighbors.history
+    slots = [(slot, build_slot_vector(state.plan.laws, slot)) for slot in stored]
 
     @ti.func
-    def write_history(list_index, normal_history, tangential_displacement, rolling_displacement):
-        if ti.static(len(history) > 0):
+    def write_history(list_index, history):
+        if ti.static(len(slots) > 0):
             neighbors.in_contact[list_index] = IN_CONTACT
-        if ti.static("normal" in history):
-            history["normal"][list_index] = normal_history
-        if ti.static("tangential" in history):
-            history["tangential"][list_index] = tangential_displacement
-        if ti.static("rolling" in history):
-            history["rolling"][list_index] = rolling_displacement
+        for slot, vector_of in ti.static(slots):
+            stored[slot][list_index] = vector_of(member(history, slot))
 
     return write_history
 
 
 def build_end_contact(state: State) -> Any:
-    """Device function (list index, constants, effective radius, effective mass, time_step): clear an open contact.
+    """Device function (list index, constants, bodies, time_step): clear an open contact.
 
     Returns the plastic work [J] of a contact that has ended in this step; 0 without the energy budget.
 
     Writes:  history, in_contact
     """
-    plan, law, neighbors = state.plan, state.plan.law, state.neighbors
-    names = list(neighbors.history)
+    laws, neighbors, names = state.plan.laws, state.neighbors, list(state.neighbors.history)
+    energy_budget, read_history = state.plan.features.energy_budget, build_read_history(state)
 
     @ti.func
-    def end_contact(list_index, constants, radius_eff, mass_eff, dt):
+    def lost_energy(list_index, constants, bodies, dt):
+        history, nothing = read_history(list_index), 0.0 * bodies.radius_eff
+        contact = ti.Struct(
+            radius_eff=bodies.radius_eff, mass_eff=bodies.mass_eff, time_step=dt, overlap=nothing, overlap_rate=nothing
+        )
+        energy = 0.0 * dt
+        if ti.static("normal" in names):
+            energy = laws.normal.lost_energy(constants.normal, contact, history.normal)
+        if ti.static("cohesion" in names):
+            energy += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+        return energy
+
+    @ti.func
+    def end_contact(list_index, constants, bodies, dt):
         energy_lost = 0.0 * dt
         if ti.static(len(names) > 0):
             if neighbors.in_contact[list_index] != NO_CONTACT:
-                if ti.static(plan.features.energy_budget and "normal" in names):
-                    normal_history = neighbors.history["normal"][list_index]
-                    energy_lost = law.lost_energy(constants, radius_eff, mass_eff, dt, 0.0 * radius_eff, normal_history)
+                if ti.static(energy_budget):
+                    energy_lost = lost_energy(list_index, constants, bodies, dt)
                 for name in ti.static(names):
                     neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
                 neighbors.in_contact[list_index] = NO_CONTACT
         return energy_lost
 
     return end_contact
+
+
+def build_add_plastic_loss(state: State) -> Any:
+    """Device function (chunk, i, j, energy [J]): add the plastic work of a contact that has ended.
+
+    Writes:  losses
+    """
+    losses, weight, energy_budget = state.control.losses, build_weight(state), state.plan.features.energy_budget
+
+    @ti.func
+    def add_plastic_loss(chunk, i, j, energy_lost):
+        if ti.static(energy_budget):
+            losses[chunk][PLASTIC] = losses[chunk][PLASTIC] + weight(i, j) * energy_lost
+
+    return add_plastic_loss

@@ -49,14 +49,16 @@ def build_save_history(state: State) -> Callable[[int], None]:
 def build_restore_history(state: State) -> Any:
     """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
-    If the pair was in the list of the partner, its vectors change sign. Without a saved history all values are zero.
+    If the pair was in the list of the partner, vectors change their sign. Without a saved history all values are zero.
 
     Reads:   order, saved, partner_saved
     Writes:  history, in_contact
     """
     neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
     names = list(neighbors.history)
-    is_antisymmetric = [name != "normal" for name in names]
+    is_vector = {
+        name: [each.size > 1 for each in state.plan.laws.history[name] for _ in range(each.size)] for name in names
+    }
 
     @ti.func
     def find_saved(row, partner):
@@ -79,12 +81,13 @@ def build_restore_history(state: State) -> Any:
             source = find_saved(j_before, i_before)
             sign = -1.0
         neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
-        for n in ti.static(range(len(names))):
-            neighbors.history[names[n]][list_index] = 0.0 * neighbors.history[names[n]][list_index]
+        for name in ti.static(names):
+            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
             if source >= 0:
-                if ti.static(is_antisymmetric[n]):
-                    neighbors.history[names[n]][list_index] = sign * neighbors.saved[names[n]][source]
-                else:
-                    neighbors.history[names[n]][list_index] = neighbors.saved[names[n]][source]
+                for k, changes_sign in ti.static(enumerate(is_vector[name])):
+                    value = neighbors.saved[name][source][k]
+                    if ti.static(changes_sign):
+                        value = sign * value
+                    neighbors.history[name][list_index][k] = value
 
     return restore_history

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Iterator
 from itertools import combinations_with_replacement, product
 
+from granflow.contact import registry
+from granflow.contact.options import FRICTION
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.schema.fields import Fault, missing, whole
@@ -87,40 +89,33 @@ def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, in
     return found
 
 
-def friction(parts: PartialScene) -> Iterator[Fault]:
-    """Friction coefficients require a tangential or rolling contact model, and vice versa."""
+def pair_options(parts: PartialScene) -> Iterator[Fault]:
+    """Keys of pairs require the contact model that declares them, and vice versa."""
     contact = parts.scene.contact
     for key, pair in parts.scene.pairs.items():
-        rolling = ("pairs", key, "rolling_friction")
-        if pair.friction > 0 and contact.tangential == "none":
-            yield Fault(("pairs", key, "friction"), "contact.tangential is none; write 0, or choose mindlin")
-        if pair.rolling_friction is None and contact.rolling != "none":
-            remedy = "give the coefficient, or 0 to disable rolling friction"
-            yield missing(rolling, f"contact.rolling is {contact.rolling}; {remedy}")
-        if pair.rolling_friction and contact.rolling == "none":
-            yield Fault(rolling, "contact.rolling is none; remove rolling_friction, or choose epsd or cdt")
-
-
-def cohesion(parts: PartialScene) -> Iterator[Fault]:
-    """A cohesion model requires a cohesion energy density in every pair, and vice versa."""
-    model = parts.scene.contact.cohesion
-    for key, pair in parts.scene.pairs.items():
-        path: KeyPath = ("pairs", key, "cohesion_energy_density")
-        if model == "none" and pair.cohesion_energy_density is not None:
-            yield Fault(path, "contact.cohesion is none; remove cohesion_energy_density, or choose sjkr")
-        if model != "none" and pair.cohesion_energy_density is None:
-            yield missing(path, f"contact.cohesion is {model}; give it in J/m3, or 0 to disable cohesion")
+        for option in registry.pair_options().values():
+            path: KeyPath = ("pairs", key, option.key)
+            value, known = getattr(pair, option.key), registry.models_with(option.key)
+            users = {slot: contact.name(slot) for slot, names in known.items() if contact.name(slot) in names}
+            if users and value is None:
+                slot, name = next(iter(users.items()))
+                yield missing(path, f"contact.{slot} is {name}; {option.remedy}")
+            elif value and not users:
+                slot, names = next(iter(known.items()))
+                remedy = "write 0" if option.key == FRICTION.key else f"remove {option.key}"
+                reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
+                yield Fault(path, reason)
 
 
 def restitution(parts: PartialScene) -> Iterator[Fault]:
     """Restitution in the form that the normal contact model requires; none if it follows from the materials.
 
-    The forms are: nothing, a number, a positive number, a number or a fit (`LawKind.restitution`).
+    The forms are: nothing, a number, a positive number, a number or a fit (`ContactModel.restitution`).
     """
     normal = parts.scene.contact.normal
     for key, pair in parts.scene.pairs.items():
         path: KeyPath = ("pairs", key, "restitution")
-        if normal.kind.restitution == "nothing":
+        if normal.record.restitution == "nothing":
             if pair.restitution is not None:
                 yield Fault(path, f"the contact model {normal.law} derives it from the materials; remove it")
             elif len(_without_yield_strength(parts, key)) == len(set(key.split("-"))):
@@ -131,7 +126,7 @@ def restitution(parts: PartialScene) -> Iterator[Fault]:
             yield missing(path, "restitution coefficient, a number in [0, 1]")
         elif isinstance(pair.restitution, RestitutionFit):
             yield from _restitution_fit(parts, key, pair.restitution)
-        elif pair.restitution == 0 and normal.kind.restitution == "positive number":
+        elif pair.restitution == 0 and normal.record.restitution == "positive number":
             yield Fault(path, f"the contact model {normal.law} requires a number above 0 and at most 1")
 
 
@@ -143,11 +138,12 @@ def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iter
     normal, path = parts.scene.contact.normal, ("pairs", key, "restitution")
     settings, without_yield = normal.settings(), _without_yield_strength(parts, key)
     fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
-    if normal.kind.restitution != "number or fit":
+    if normal.record.restitution != "number or fit":
         yield Fault(path, f"the contact model {normal.law} requires a number, above 0 and at most 1")
     elif fixed:
-        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number"
-        yield Fault(path, f"{reason}; or write impact or max_overlap")
+        words = [word for word in normal.words(fixed[0]) if word != settings[fixed[0]]]
+        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
+        yield Fault(path, f"{reason}or write {' or '.join(words)}")
     elif fit.limit_velocity is None and without_yield:
         remedy = f"give limit_velocity, or the yield_strength of {' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
         yield whole(path, f"has no limit velocity: {remedy}")

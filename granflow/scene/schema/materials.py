@@ -1,13 +1,14 @@
-"""Schema of materials, material pairs, and contact models."""
+"""Schema of materials and material pairs."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, Tag, model_validator
+from pydantic.fields import FieldInfo
 
+from granflow.contact import registry
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.fields import Model, Text, choose_by, pair_list, required_unless
-from granflow.scene.schema.normal import Normal, known_laws
 from granflow.scene.schema.numbers import Number, value_error
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
@@ -16,7 +17,6 @@ YoungModulus = Annotated[float, Number("pressure", noun="Young's modulus", above
 YieldStrength = Annotated[float, Number("pressure", noun="a yield strength", above=0)]
 PoissonRatio = Annotated[float, Number(noun="a Poisson ratio", above=-1, at_most=0.5)]
 RestitutionNumber = Annotated[float, Number(noun="a restitution coefficient", at_least=0, at_most=1)]
-CohesionEnergyDensity = Annotated[float, Number("energy_density", noun="a cohesion energy density", at_least=0)]
 FrictionNumber = Annotated[float, Number(noun="a friction coefficient", at_least=0)]
 
 
@@ -126,27 +126,24 @@ class MaterialPair(Model):
         "required unless the normal contact model derives it from the materials",
     )
     friction: FrictionNumber = Field(description="Coulomb friction coefficient; 0 for no friction")
-    rolling_friction: FrictionNumber | None = Field(
-        None, description="rolling friction coefficient; required unless contact.rolling is none"
-    )
-    cohesion_energy_density: CohesionEnergyDensity | None = Field(
-        None, description="cohesion energy density [J/m3]; required with contact.cohesion: sjkr"
-    )
 
 
-class Contact(Model):
-    """Contact models, the same for all pairs of materials.
+def use_registry() -> None:
+    """Add the keys that registered contact models require of `pairs`, except those that every pair has."""
+    fields = MaterialPair.__pydantic_fields__
+    for key in [key for key in fields if key not in MaterialPair.__annotations__]:
+        del fields[key]
+    for key, option in registry.pair_options().items():
+        if key not in fields:
+            amount = option.amount
+            bounds = (amount.above, amount.at_least, amount.at_most)
+            annotation: Any = Annotated[float, Number(amount.dimension, amount.noun, *bounds)] | None
+            needed = " or ".join(
+                f"contact.{slot}: {' or '.join(names)}" for slot, names in registry.models_with(key).items()
+            )
+            field = Field(None, description=f"{amount.description}; required with {needed}")
+            fields[key] = FieldInfo.from_annotated_attribute(annotation, field)
+    MaterialPair.model_rebuild(force=True)
 
-    Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
-    are properties of the pairs.
-    """
 
-    normal: Normal = Field(description=f"{known_laws()}, or a mapping with `law` and its parameters")
-    tangential: Literal["mindlin", "none"] = Field(description="mindlin (spring with history, Coulomb limit) or none")
-    rolling: Literal["none", "epsd", "cdt"] = Field(
-        description="none, epsd (elastic-plastic spring torque) or cdt (constant directional torque)"
-    )
-    cohesion: Literal["none", "sjkr"] = Field(
-        "none",
-        description="none or sjkr (force: cohesion energy density times contact area), with any normal contact model",
-    )
+use_registry()

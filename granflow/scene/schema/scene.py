@@ -11,10 +11,18 @@ from pydantic import Field, PrivateAttr
 
 from granflow.scene.document import Document
 from granflow.scene.schema import quantities as q
+from granflow.scene.schema.contact import Contact
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.expect import ExpectationSpec
-from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text
-from granflow.scene.schema.materials import Contact, Material, MaterialPair
+from granflow.scene.schema.fields import (
+    FileName,
+    ListOf,
+    Model,
+    Name,
+    PairName,
+    Text,
+)
+from granflow.scene.schema.materials import Material, MaterialPair
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.outlets import Outlet
 from granflow.scene.schema.output import Output

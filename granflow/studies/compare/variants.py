@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow import GranflowError, Plan, Scene, SceneError, plan_for
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.scene.suggest import suggestion_or_list
 
 LINEAR_KEYS = ("linear_onset", "linear_reference")
@@ -41,8 +41,8 @@ def law_names(given: str) -> tuple[str, ...]:
     if not names:
         raise GranflowError("--laws is empty: give at least one contact model, such as --laws zhou,linear,hertz.")
     for number, name in enumerate(names):
-        if name not in NORMAL_LAWS:
-            remedy = suggestion_or_list(name, NORMAL_LAWS, "contact models")
+        if name not in models("normal"):
+            remedy = suggestion_or_list(name, models("normal"), "contact models")
             raise GranflowError(f"Unknown contact model {name}. {remedy if remedy.endswith('?') else remedy + '.'}")
         if name in names[:number]:
             raise GranflowError(f"The contact model {name} is repeated: give each once.")
@@ -95,7 +95,7 @@ def _normals(scene: Scene, laws: Sequence[str], velocity: float) -> Iterator[tup
         elif name == scene.contact.normal.law:
             yield name, name, {"law": name, **scene.contact.normal.settings()}
         else:
-            example = dict(NORMAL_LAWS[name].example)
+            example = dict(models("normal")[name].example)
             if "reference_velocity" in example:
                 example["reference_velocity"] = velocity
             yield name, name, {"law": name, **example}
@@ -128,7 +128,7 @@ def restitution_for(scene: Scene, pair: str, law: str, velocity: float) -> Any:
     `pair`: key in `pairs`. The result is a number or a mapping as in a scene; None if the contact model derives it from
     the materials, or if the scene does not define it.
     """
-    kind, given = NORMAL_LAWS[law].restitution, scene.pairs[pair].restitution
+    kind, given = models("normal")[law].restitution, scene.pairs[pair].restitution
     if kind == "nothing" or given is None or isinstance(given, float):
         return None if kind == "nothing" else given
     if kind == "positive number":

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from granflow import Plan, Scene, plan_for
-from granflow.scene.schema.materials import Contact, MaterialPair
+from granflow.scene.schema.contact import Contact
+from granflow.scene.schema.materials import MaterialPair
 
 FRICTION, ROLLING_FRICTION = 0.3, 0.02
 """Coefficients of every pair if a variant adds the feature to the scene."""
@@ -126,7 +127,7 @@ def _with_rolling(scene: Scene, rolling: Literal["none", "epsd"]) -> Scene:
 
 def _rolling_pair(pair: MaterialPair) -> MaterialPair:
     """The pair with its rolling friction, or ROLLING_FRICTION if it has none."""
-    return pair.model_copy(update={"rolling_friction": pair.rolling_friction or ROLLING_FRICTION})
+    return pair.model_copy(update={"rolling_friction": pair.model_dump()["rolling_friction"] or ROLLING_FRICTION})
 
 
 def _elastic(scene: Scene) -> Scene:

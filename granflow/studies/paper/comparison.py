@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow import SceneError
 from granflow.contact.material import PairMaterial, shear_modulus_eff
-from granflow.contact.registry import NORMAL_LAWS
+from granflow.contact.registry import models
 from granflow.studies.figures import COLORS, MARKERS
 from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all, head_on_bench
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
@@ -75,7 +75,7 @@ def candidate_model(name: str) -> CandidateModel:
 
     Raises KeyError for an unknown name, ValueError if the model rejects the materials.
     """
-    kind = NORMAL_LAWS[name]
+    kind = models("normal")[name]
     settings = SETTINGS.get(name, kind.example)
     wanted = [float(restitution_of(case, np.array(REFERENCE_VELOCITY))) for case in PAPER_CASES]
     fits = tuple({"preset": case.name} for case in PAPER_CASES)
@@ -143,7 +143,7 @@ def compare(velocities: np.ndarray = VELOCITIES) -> LawComparison:
     """
     comparison = LawComparison()
     shortest = min(float(case.durations(restitution_of(case, velocities), velocities).min()) for case in PAPER_CASES)
-    for name in NORMAL_LAWS:
+    for name in models("normal"):
         try:
             model = candidate_model(name)
             outcomes = collide_all(model.normal, _collisions(model, velocities), shortest / STEPS_PER_CONTACT)

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from granflow import ParticleData, Plan, RunError, Scene, Simulation
-from granflow.contact import theory
 from granflow.scene.schema.run import LARGEST_OVERLAP
 from granflow.studies.collision_bench import sphere_mass
-from granflow.studies.reference_path import Impact, loading_path
+from granflow.studies.reference_path import Impact
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 
 RADIUS, DENSITY, YOUNG, POISSON, YIELD = 1e-3, 2500.0, 1e8, 0.25, 1e6
@@ -108,16 +107,8 @@ def real_bounds(law: str, friction: bool) -> list[Bound]:
 
 
 def overlap_at(plan: Plan, impact: Impact) -> float:
-    """Maximum overlap [m] of a collision, without the effect of a dashpot.
-
-    Viscous Hertz contacts: Zhou (2011), Eq. 5; viscous linear springs: v sqrt(M/K); others: from the loading work.
-    """
-    pair, radius, mass, speed = impact
-    if not plan.law.rate_dependent:
-        return loading_path(plan, impact)["overlap_max_theory"]
-    if plan.law.tangential_stiffness_grows:
-        return float(theory.overlap_max(theory.hertz_stiffness(pair.modulus_eff, radius), mass, speed))
-    return speed * float(np.sqrt(mass / plan.law.loading_stiffness(*impact)))
+    """Maximum overlap [m] of a collision, by the formula of the contact model."""
+    return plan.law.overlap_max(*impact)
 
 
 def _pair_case(plan: Plan, lattice: TestLattice) -> Any:

@@ -1,8 +1,4 @@
-"""Rolling models: elastic-plastic spring torque (EPSD) and constant directional torque (CDT).
-
-Source: Ai et al. 2011, Powder Technol. 206:269 (models A and C). EPSD is the elastic-plastic spring of `mindlin` with
-torque instead of force and angle instead of displacement, rolling stiffness k_t R^2 (Wensrich & Katterfeld 2012, Powder
-Technol. 217:409) and limit mu_r R F. Torques act on the first particle of a pair, the opposite torques on the second.
+"""Constant directional torque (CDT): a rolling torque of constant magnitude against the rolling rate.
 
 CDT is discontinuous at zero rate, so at small rates it is replaced by a viscous torque: a contact removes at most
 `STOPPED_SHARE` of the relative rate per step. A particle with moment of inertia I_i receives I_j / (I_i + I_j) of that
@@ -12,7 +8,13 @@ of the particle and its neighbors: no rotation reverses, and rotation relative t
 of simultaneous contacts.
 """
 
-import taichi as ti
+from dataclasses import dataclass
+
+from granflow.contact.device import ti
+from granflow.contact.law import HistoryField, ModelRequest, RollingLaw
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.options import ROLLING_FRICTION
 
 STOPPED_SHARE = 0.125
 """Largest fraction of the relative rolling rate that one contact removes in one step."""
@@ -49,3 +51,52 @@ def torque_loss(torque_before, torque, rolling_rate, time_step):
     steps each half-step rate is multiplied by half of the torque before and half of the torque after it.
     """
     return -0.5 * time_step * (torque_before + torque).dot(rolling_rate)
+
+
+@dataclass(frozen=True)
+class Cdt(RollingLaw):
+    """Constant directional torque.
+
+    energy_budget:  whether the torque is saved for the dissipated energy
+    """
+
+    energy_budget: bool
+
+    name = "cdt"
+    source = "Ai et al. 2011, Powder Technol. 206:269, model A"
+    limits = "no torque at rest: a particle on a slope rolls, however slowly"
+    constant_names = ("rolling_friction",)
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Cdt":
+        """The law that a scene requests."""
+        return cls(request.energy_budget)
+
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Torque of the previous step, with the energy budget."""
+        return (HistoryField("torque", "rolling torque", "N m", size=3),) if self.energy_budget else ()
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Coefficient of rolling friction."""
+        return (pair.options["rolling_friction"],)
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Torque [N m] against the tangential rolling rate."""
+        rate, history_new, energy_lost = contact.rolling_rate, history, 0.0 * contact.stiffness
+        torque = directional_torque(
+            contact.radius_eff,
+            constants.rolling_friction,
+            contact.normal_load,
+            rate - rate.dot(contact.normal) * contact.normal,
+            contact.inertia_eff,
+            contact.longest_time_step,
+        )
+        if ti.static(self.energy_budget):
+            energy_lost = torque_loss(history.torque, torque, rate, contact.time_step)
+            history_new.torque = torque
+        return torque, history_new, energy_lost
+
+
+MODEL = ContactModel(Cdt, "constant directional torque", pair_options=(ROLLING_FRICTION,))

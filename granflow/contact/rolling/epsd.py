@@ -1,0 +1,54 @@
+"""Elastic-plastic spring torque (EPSD): the tangential spring with torque in place of force and angle of displacement.
+
+The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R F.
+"""
+
+from dataclasses import dataclass
+
+from granflow.contact.device import ti
+from granflow.contact.law import HistoryField, RollingLaw
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.options import ROLLING_FRICTION
+from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
+
+
+@dataclass(frozen=True)
+class Epsd(RollingLaw):
+    """Elastic-plastic spring torque."""
+
+    name = "epsd"
+    source = "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. 217:409"
+    limits = "the rolling stiffness is an assumption; without damping a particle at rest can oscillate about its spring"
+    constant_names = ("rolling_friction",)
+
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Elastic rolling displacement."""
+        return (HistoryField("angle", "rolling displacement", "rad", size=3),)
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Coefficient of rolling friction."""
+        return (pair.options["rolling_friction"],)
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Spring torque [N m] after the rotation of this step, limited to mu_r R F."""
+        history_new, ratio, rate = history, contact.stiffness_ratio, contact.rolling_rate
+        rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
+        step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)
+        spring = contact.stiffness * contact.radius_eff * contact.radius_eff
+        limit = constants.rolling_friction * contact.radius_eff * contact.normal_load
+        torque, angle = elastic_plastic_spring(spring, ratio, limit, rotated, step)
+        energy_lost = spring_loss(spring, ratio, rotated, step, torque, angle)
+        history_new.angle = angle
+        return torque, history_new, energy_lost
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Energy of the spring [J]."""
+        spring = 0.5 * contact.stiffness * contact.radius_eff * contact.radius_eff
+        return spring * history.angle.dot(history.angle)
+
+
+MODEL = ContactModel(Epsd, "elastic-plastic spring torque", pair_options=(ROLLING_FRICTION,))

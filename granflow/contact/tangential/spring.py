@@ -1,0 +1,65 @@
+"""Elastic-plastic spring with history: Mindlin's tangential spring and the EPSD rolling spring.
+
+The history is the elastic displacement. If the stiffness increases, the force is preserved and the displacement
+decreases; if it decreases, the displacement is preserved and the force decreases with the contact radius (Thornton,
+Cummins & Cleary 2013). The spring therefore never generates energy.
+"""
+
+import numpy as np
+
+from granflow.contact.device import ti
+
+
+@ti.func
+def rotated_displacement(displacement, normal, normal_middle):
+    """Tangential displacement [m] rotated with the contact plane over one step.
+
+        s' = s - (s . n) (n_before + n) / 2
+
+    normal:         unit normal n now
+    normal_middle:  mean of the previous and the present normal
+
+    Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs a
+    cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
+    """
+    return displacement - displacement.dot(normal) * normal_middle
+
+
+@ti.func
+def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
+    """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new displacement).
+
+    stiffness:        present stiffness k [N/m]
+    stiffness_ratio:  ratio of the previous to the present stiffness: below 1 the force is preserved, above 1 the
+                      displacement
+    rotated:          displacement of the previous step [m] in the present contact plane
+    step:             relative tangential displacement in this step [m]
+
+    For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a branch, so
+    that the compiler can vectorize over contacts.
+    """
+    displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
+    force = -stiffness * displacement_new
+    square = force.dot(force)
+    ratio = ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
+    return ratio * force, ratio * displacement_new
+
+
+@ti.func
+def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_new):
+    """Energy dissipated by the spring in one step [J]: work done on it minus the increase of its stored energy."""
+    stiffness_before = stiffness_ratio * stiffness
+    work = 0.5 * (stiffness_before * rotated - force).dot(step)
+    return (
+        work + 0.5 * stiffness_before * rotated.dot(rotated) - 0.5 * stiffness * displacement_new.dot(displacement_new)
+    )
+
+
+def reference_spring(
+    stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference implementation of `elastic_plastic_spring` in numpy, with vectors (3,)."""
+    trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
+    size = stiffness * float(np.sqrt(trial @ trial))
+    displacement_new = trial if size <= cap else trial * (cap / size)
+    return -stiffness * displacement_new, displacement_new

@@ -1,0 +1,111 @@
+"""Structs of pair constants and contact history, by slot and name, from the vectors that fields store."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import taichi as ti
+
+from granflow.contact.device import at_compile_time
+from granflow.contact.laws import ContactLaws
+
+
+@at_compile_time
+def member(struct: Any, name: str) -> Any:
+    """Member of a struct by a name that is known when the kernel is compiled."""
+    return getattr(struct, name)
+
+
+def build_constants(laws: ContactLaws) -> Any:
+    """Device function (row of the pair constants) -> struct of slots, each a struct of the constants of the law."""
+    columns, count = [], 0
+    for slot, names in laws.constant_names.items():
+        columns.append((slot, [(name, count + k) for k, name in enumerate(names)]))
+        count += len(names)
+
+    @ti.func
+    def constants_of(row):
+        return ti.Struct(
+            {slot: ti.Struct({name: row[k] for name, k in ti.static(own)}) for slot, own in ti.static(columns)}
+        )
+
+    return constants_of
+
+
+@ti.func
+def _number(vector, k: ti.template()):
+    return vector[k]
+
+
+@ti.func
+def _vector(vector, k: ti.template()):
+    return ti.Vector([vector[k], vector[k + 1], vector[k + 2]])
+
+
+def build_slot_history(laws: ContactLaws, slot: str) -> Any:
+    """Device function (vector of components) -> struct of the history fields of a slot."""
+    parts, count = [], 0
+    for each in laws.history[slot]:
+        parts.append((each.name, _number if each.size == 1 else _vector, count))
+        count += each.size
+
+    @ti.func
+    def slot_history(vector):
+        return ti.Struct({name: part(vector, k) for name, part, k in ti.static(parts)})
+
+    return slot_history
+
+
+@ti.func
+def _number_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)
+
+
+@ti.func
+def _component_of(history, name: ti.template(), k: ti.template()):
+    return member(history, name)[k]
+
+
+def build_slot_vector(laws: ContactLaws, slot: str) -> Any:
+    """Device function (struct of the history fields of a slot) -> vector of components."""
+    components = [
+        (each.name, _number_of if each.size == 1 else _component_of, k)
+        for each in laws.history[slot]
+        for k in range(each.size)
+    ]
+
+    @ti.func
+    def slot_vector(history):
+        return ti.Vector([component(history, name, k) for name, component, k in ti.static(components)])
+
+    return slot_vector
+
+
+def build_read_slots(laws: ContactLaws, read_vector: Any, stored: Iterable[str]) -> Any:
+    """Device function (two indices) -> struct of slots, each a struct of the history fields of its model.
+
+    read_vector:  device function (slot, two indices) -> vector of components of a slot
+    stored:       slots with history; the structs of the others are empty
+    """
+    slots = [(slot, build_slot_history(laws, slot), slot in stored) for slot in laws.by_slot]
+    read = [(slot, history_of, _stored_slot if is_stored else _empty_slot) for slot, history_of, is_stored in slots]
+
+    @ti.func
+    def read_slots(first, second):
+        return ti.Struct(
+            {
+                slot: read_slot(history_of, read_vector, slot, first, second)
+                for slot, history_of, read_slot in ti.static(read)
+            }
+        )
+
+    return read_slots
+
+
+@ti.func
+def _stored_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
+    return history_of(read_vector(slot, first, second))
+
+
+@ti.func
+def _empty_slot(history_of: ti.template(), read_vector: ti.template(), slot: ti.template(), first, second):
+    return history_of(0)

@@ -1,0 +1,263 @@
+"""Contact models that are defined outside the package: everything that a scene offers works with them."""
+
+import json
+import shutil
+from dataclasses import dataclass
+from functools import partial
+
+import meshio
+import numpy as np
+import pytest
+from contact import test_normal_laws as generic
+from contact.cases import SI, Case, number
+from resume.runs import files_of, states_of
+
+from granflow import SceneError, load_scene, register_contact_model
+from granflow.contact.device import ti
+from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, RollingLaw
+from granflow.contact.laws import ContactLaws
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.normal.hertz import Hertz
+from granflow.contact.options import Amount, PairOption
+from granflow.io.checkpoint import read_checkpoint
+from granflow.plan.build import plan_for
+from granflow.scene.jsonschema import json_schema
+from granflow.scene.registration import unregister_contact_model
+from granflow.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class Sticky(CohesionLaw):
+    """An attraction that increases to a constant: F = f d / (d + s)."""
+
+    saturation: float
+
+    name = "sticky"
+    source = "this test, 2026"
+    limits = "a model without physical basis"
+    constant_names = ("attraction",)
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Sticky":
+        return cls(request.options["saturation"])
+
+    @property
+    def history(self):
+        return (HistoryField("largest", "largest overlap", "m", in_output=True),)
+
+    def pair_constants(self, pair):
+        return (pair.options["attraction"],)
+
+    @ti.func
+    def force(self, constants, contact, history):
+        history_new = history
+        history_new.largest = ti.max(history.largest, contact.overlap)
+        return constants.attraction * contact.overlap / (contact.overlap + self.saturation), history_new
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        return -constants.attraction * (
+            contact.overlap - self.saturation * ti.log(1.0 + contact.overlap / self.saturation)
+        )
+
+    def reference(self, contact):
+        attraction = contact.constants.attraction / (1.0 + self.saturation / contact.overlap)
+        return attraction, {"largest": max(contact.overlap, getattr(contact.history, "largest", 0.0))}
+
+
+@dataclass(frozen=True)
+class Viscous(RollingLaw):
+    """A torque proportional to the rolling rate."""
+
+    name = "viscous"
+    source = "this test, 2026"
+    limits = "a model without physical basis"
+    constant_names = ("rolling_viscosity",)
+
+    @property
+    def history(self):
+        return (
+            HistoryField("torque", "torque of the previous step", "N m", size=3, in_output=True),
+            HistoryField("duration", "duration of the contact", "s", in_output=True),
+        )
+
+    def pair_constants(self, pair):
+        return (pair.options["rolling_viscosity"],)
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        rate, history_new = contact.rolling_rate, history
+        torque = -constants.rolling_viscosity * (rate - rate.dot(contact.normal) * contact.normal)
+        lost = -0.5 * contact.time_step * (history.torque + torque).dot(rate)
+        history_new.torque = torque
+        history_new.duration = history.duration + contact.time_step
+        return torque, history_new, lost
+
+
+STICKY = ContactModel(
+    Sticky,
+    "attraction that increases to a constant",
+    options={"saturation": Amount("overlap [m] at half the attraction", "1 um", "length", "an overlap", above=0)},
+    pair_options=(PairOption("attraction", Amount("largest attraction [N]", "1 mN", "force", at_least=0)),),
+    example={"saturation": 1e-6},
+)
+VISCOUS = ContactModel(
+    Viscous,
+    "viscous rolling torque",
+    pair_options=(PairOption("rolling_viscosity", Amount("torque over rolling rate [N m s]", "1e-6", at_least=0)),),
+)
+SCENE = """\
+title: External models
+gravity: [0, 0, -9.81]
+materials: {glass: {young_modulus: 100 MPa, poisson_ratio: 0.25, density: 2500, yield_strength: 3 MPa}}
+pairs:
+  glass-glass: {restitution: 0.8, friction: 0.3, attraction: 20 mN, rolling_viscosity: 1e-6}
+contact:
+  normal: zhou
+  tangential: mindlin
+  rolling: viscous
+  cohesion: {law: sticky, saturation: 10 um}
+walls:
+  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
+particles:
+  balls:
+    material: glass
+    diameter: 10 mm
+    count: 36
+    velocity: [0.3, 0.1, -0.2]
+    angular_velocity: [0, 20, 5]
+    insert: {kind: lattice, region: {box: {min: [0, 0, 0.0], max: [0.035, 0.035, 0.045]}}}
+domain: {min: [-0.1, -0.1, -0.1], max: [0.1, 0.1, 0.1], on_exit: error}
+run: {duration: 10 ms, time_step: 2 us, velocity_max: 1}
+numerics: {chunk_size: 16}
+output:
+  interval: 2 ms
+  timeseries_interval: 1 ms
+  contacts: true
+  energy_budget: true
+  checkpoint: {interval: 2 ms, keep: 10}
+"""
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    """The two models are registered during each test."""
+    for model in (STICKY, VISCOUS):
+        register_contact_model(model)
+    yield
+    for model in (STICKY, VISCOUS):
+        unregister_contact_model(model)
+
+
+def scene_of(tmp_path, **replaced):
+    """The scene from a file, with parts of its text replaced."""
+    text = SCENE
+    for old, new in replaced.get("parts", ()):
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    return load_scene(path)
+
+
+def message_of(tmp_path, old, new):
+    """The message on the scene with a part of its text replaced, without its directory."""
+    with pytest.raises(SceneError) as error:
+        scene_of(tmp_path, parts=[(old, new)])
+    return str(error.value).replace(f"{tmp_path}/", "")
+
+
+def test_scene_runs_with_energy_budget_contact_output_and_identical_restart(tmp_path, taichi_f64):
+    scene = scene_of(tmp_path)
+    whole, again = tmp_path / "whole", tmp_path / "again"
+    simulation = Simulation(scene, out=whole, threads=2)
+    simulation.run()
+    last = simulation.snapshot(contacts=True)
+    simulation.free()
+    shutil.copytree(whole, again)
+    checkpoint = sorted(again.glob("checkpoint_*.npz"))[1]
+    resumed = Simulation(scene, out=again, threads=2, resume=read_checkpoint(checkpoint))
+    resumed.run()
+    resumed.free()
+    assert files_of(again) == files_of(whole) and states_of(again) == states_of(whole)
+
+    assert last.totals["rolling_dissipation"] > 1e-3 * last.totals["kinetic_energy"]
+    assert abs(last.totals["energy_error"]) < 1e-3
+    frame = meshio.read(sorted(whole.glob("contacts_*.vtu"))[-1])
+    arrays = {name: value[0] for name, value in frame.cell_data.items()}
+    largest, overlap = arrays["cohesion_largest"], arrays["overlap"]
+    assert len(overlap) > 5 and overlap.min() > 0.0 and np.all(largest >= overlap * (1.0 - 1e-6))
+    assert arrays["rolling_torque"].shape == (len(overlap), 3) and np.abs(arrays["rolling_torque"]).max() > 0.0
+    assert 0.0 < arrays["rolling_duration"].min() and arrays["rolling_duration"].max() <= 0.01
+
+
+def test_json_schema_contains_the_models():
+    text = json.dumps(json_schema())
+    assert "viscous (viscous rolling torque)" in text and '"sticky"' in text
+    assert "overlap [m] at half the attraction" in text
+    assert "largest attraction [N]; required with contact.cohesion: sticky" in text
+    unregister_contact_model(STICKY)
+    assert "attraction [N]" not in json.dumps(json_schema())
+    register_contact_model(STICKY)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("saturation: 10 um", "saturation: -1 um", "scene.yaml:10:39: contact.cohesion.saturation is -1 um"),
+        ("saturation: 10 um", "saturatoin: 1 um", "Did you mean saturation?"),
+        ("law: sticky", "law: stiky", "scene.yaml:10"),
+        ("attraction: 20 mN", "attraction: 20 kg", "scene.yaml:5:62: pairs.glass-glass.attraction is 20 kg"),
+        (", attraction: 20 mN", "", "pairs.glass-glass.attraction is missing: contact.cohesion is sticky"),
+        ("rolling: viscous", "rolling: none", "contact.rolling is none; remove rolling_viscosity, or choose viscous"),
+        ("rolling: viscous", "rolling: viscus", "scene.yaml:9:12: contact.rolling is viscus"),
+    ],
+)
+def test_messages_have_a_position(tmp_path, old, new, message):
+    assert message in message_of(tmp_path, old, new)
+
+
+def test_a_model_that_no_pair_needs_is_not_active(tmp_path):
+    plan = plan_for(scene_of(tmp_path, parts=[("attraction: 20 mN", "attraction: 0")]))
+    assert plan.laws.cohesion is None and not plan.laws.attracts
+    assert plan.features.rolling == "viscous"
+
+
+def test_a_range_is_rejected_at_registration():
+    @dataclass(frozen=True)
+    class Bridge(Sticky):
+        name = "bridge"
+        range = 1e-3
+
+    with pytest.raises(ValueError, match="a range other than 0 is not supported"):
+        register_contact_model(ContactModel(Bridge, "acts without overlap"))
+
+
+class StickyCase(Case):
+    """An elastic Hertz contact with the external cohesion, for the generic tests."""
+
+    def pair(self, units=SI):
+        return PairMaterial(
+            4e7 * units.pascal, 1.2e7 * units.pascal, 1.0, 0.0, options={"attraction": 20.0 * units.newton}
+        )
+
+
+def sticky_laws(units):
+    """Laws of StickyCase."""
+    return ContactLaws(Hertz(damped=False), cohesion=Sticky(1e-4 * units.meter))
+
+
+CHECKS = (
+    generic.test_device_equals_its_numpy_reference,
+    generic.test_only_attractive_models_have_tension,
+    generic.test_force_is_continuous_between_branches,
+    generic.test_work_equals_stored_plus_lost_energy,
+    generic.test_work_on_closed_paths_is_not_negative,
+    partial(generic.test_force_and_energy_scale_with_the_units, units=generic.Units(1e3, 1.0, 1.0)),
+)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: getattr(check, "__name__", "units"))
+def test_generic_requirements_hold(taichi_f64, check):
+    check(taichi_f64, case=StickyCase("sticky_elastic", sticky_laws, number(1.0), adhesive=True))
