@@ -10,7 +10,6 @@ from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.size_classes import diameter_range
-from granflow.runs.checkpoint_validation import check_particles_alone
 
 ROUNDING = 1e-6
 """Relative tolerance of the diameters from an earlier run, which may be rounded to single precision."""
@@ -28,6 +27,8 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     """
     if scene.start_from is None:
         return {}
+    from granflow.runs.checkpoint_validation import check_particles_alone  # imports the engine
+
     location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
     checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
     if checkpoint is None:
