@@ -113,7 +113,7 @@ def _as_given(scene: Scene) -> dict[str, Any]:
     """The fields of the plan that the scene gives directly."""
     return {
         "title": scene.title,
-        "path": str(scene.path),
+        "path": str(scene.path) if scene.path.name else "",
         "remarks": scene.remarks,
         "settings": settings_of(scene),
         "sources": _sources(scene),

@@ -49,7 +49,7 @@ def explain(plan: Plan) -> str:
     }
     if plan.remarks:
         sections["Changes to the scene as written"] = [ExplainRow("", "", sentence) for sentence in plan.remarks]
-    title = f"{plan.title} ({plan.path})"
+    title = f"{plan.title} ({plan.path})" if plan.path else plan.title
     tables = {head: list(_aligned(rows)) for head, rows in sections.items()}
     return "\n\n".join([title, *("\n".join([head, *lines]) for head, lines in tables.items() if lines)])
 

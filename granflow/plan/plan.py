@@ -51,7 +51,7 @@ class Plan:
 
     title: str
     path: str
-    """Path of the scene file."""
+    """Path of the scene file; empty for a scene from Python."""
     remarks: tuple[str, ...]
     """Sentences on changes to the scene as written."""
     settings: tuple[OptionalSetting, ...]

@@ -37,9 +37,10 @@ class Problem:
     sentence: str
 
     def __str__(self) -> str:
-        """The message with its position; invisible characters are shown as escapes."""
+        """The message with its position, unless it begins with that; invisible characters are shown as escapes."""
         words = self.sentence.lstrip(" ")  # a key may begin with spaces, which are invisible
-        text = f"{self.position}: " + r"\x20" * (len(self.sentence) - len(words)) + words
+        position = "" if words.startswith(f"{self.position} ") else f"{self.position}: "
+        text = position + r"\x20" * (len(self.sentence) - len(words)) + words
         return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

@@ -29,7 +29,7 @@ def test_mapping_and_text_give_the_same_scene():
 
 def test_problems_name_the_key_path():
     (problem,) = problems(gravity=[0.0, 0.0])
-    assert problem.startswith("gravity: gravity is [0.0, 0.0], but ")
+    assert problem.startswith("gravity is [0.0, 0.0], but ")
     assert "seed: a value is of type object; give a number, text, list or mapping." in problems(seed=object())
 
 
@@ -41,7 +41,7 @@ def test_missing_keys_have_the_position_of_their_parent():
 
 def test_checks_across_parts_apply():
     (problem,) = problems(stages=[{"name": "fill", "duration": 1.0}])
-    assert problem.startswith("run.duration: run.duration is 1.0, but the stages have durations")
+    assert problem.startswith("run.duration is 1.0, but the stages have durations")
 
 
 def test_amounts_are_resolved():
