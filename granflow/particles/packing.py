@@ -20,6 +20,9 @@ SWELLING = 0.02
 MAX_SWEEPS = 2000
 """Number of sweeps after which overlapping spheres are reported as not fitting."""
 
+STALLED_SWEEPS = 300
+"""Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an obstacle."""
+
 
 OVERSHOOT = 1.4
 """Separation of overlapping pairs per sweep, over their overlap: halves the number of sweeps (tested: 1, 1.2, 1.4)."""
@@ -164,18 +167,21 @@ def separate_overlapping(
 ) -> np.ndarray:
     """Positions (n, 3) [m] after sweeps that separate the first `mobile_count` spheres from all others.
 
-    The sweeps end if no overlap remains, or after `MAX_SWEEPS`. Each sweep separates every overlapping pair by its
-    overlap, with displacements proportional to the inverse square of the radii; the remaining spheres are fixed.
-    The list of close pairs is rebuilt when a displacement exceeds half the skin. `swelling`: factor of the radii during
-    the sweeps, above 1, so that the result has gaps.
+    The sweeps end if no overlap remains, if the largest overlap has not decreased in STALLED_SWEEPS, or after
+    MAX_SWEEPS. Each sweep separates every overlapping pair by its overlap, with displacements proportional to the
+    inverse square of the radii; the remaining spheres are fixed. The list of close pairs is rebuilt when a displacement
+    exceeds half the skin. `swelling`: factor of the radii during the sweeps, above 1, so that the result has gaps.
     """
     position, radius = spheres.position.copy(), spheres.radius * swelling
     mobility = np.where(np.arange(len(radius)) < mobile_count, radius**-2.0, 0.0)
     skin = 0.6 * float(np.median(radius))
     listed_position, pairs = position, mobile_pairs(position, radius, skin, mobile_count)
-    for _ in range(MAX_SWEEPS):
+    smallest, smallest_at = np.inf, 0
+    for sweep in range(MAX_SWEEPS):
         shift, worst = separation(position, radius, mobility, pairs)
-        if worst < 1 - 1 / swelling:
+        if worst < smallest:
+            smallest, smallest_at = worst, sweep
+        if worst < 1 - 1 / swelling or sweep - smallest_at >= STALLED_SWEEPS:
             break
         position = position + OVERSHOOT * shift
         position[:mobile_count] = region.confine(position[:mobile_count], spheres.radius[:mobile_count])

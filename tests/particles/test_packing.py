@@ -5,8 +5,11 @@ import pytest
 from particles.scenes import BOX, TUBE, UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
+from granflow.particles import packing
 from granflow.particles.close_pairs import near_pairs
 from granflow.particles.generate import initial_particles
+from granflow.particles.packing import Spheres
+from granflow.particles.regions import BoxSampler
 
 TOUCHING = -1e-12
 """Smallest gap [m] between touching particles, negative because of rounding."""
@@ -157,3 +160,13 @@ def test_near_pairs_equal_brute_force():
     expected = {(a, b) for a, b in zip(i[gap < 0.01], j[gap < 0.01], strict=True)}
     found = [(min(a, b), max(a, b)) for a, b in zip(first, second, strict=True)]
     assert len(found) == len(set(found)) and set(found) == expected
+
+
+def test_packing_ends_early_if_a_sphere_cannot_leave_an_obstacle(monkeypatch):
+    """An obstacle that fills the box confines the sphere to a corner, where the overlap does not decrease."""
+    sweeps, separation = [], packing.separation
+    monkeypatch.setattr(packing, "separation", lambda *given: sweeps.append(1) or separation(*given))
+    box, obstacle = BoxSampler(np.zeros(3), np.ones(3)), Spheres(np.full((1, 3), 0.5), np.array([0.8]))
+    with pytest.raises(packing.RegionFullError, match="none fits"):
+        packing.pack_at_random(box, np.array([0.1]), obstacle, np.random.default_rng(1))
+    assert len(sweeps) < packing.MAX_SWEEPS / 4
