@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from fuzzing import SCENES, drawn, hypothesis_files, mutated_file, written
-from schema_blocks import scene_files
+from scene.schema_blocks import scene_files
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main

@@ -187,6 +187,25 @@ def _build_wall_work(state: State, with_wall: bool) -> Any:
     return wall_work
 
 
+def _build_passes(state: State) -> tuple[int, Any]:
+    """Number of passes over the walls of a particle, and device function (list index, pass number).
+
+    The function returns 1 if the entry is evaluated in this pass; see CONTACT_ORDER.
+
+    Reads:  in_contact
+    """
+    neighbors, pass_count = state.neighbors, len(CONTACT_ORDER) if transfers_history(state) else 1
+
+    @ti.func
+    def in_this_pass(list_index, pass_index):
+        chosen = 1
+        if ti.static(pass_count > 1):
+            chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)
+        return chosen
+
+    return pass_count, in_this_pass
+
+
 def build_forces(state: State) -> Any:
     """Device function (worker, chunk, count, pose, time_step): force and torque on the particles of one chunk.
 
@@ -202,16 +221,7 @@ def build_forces(state: State) -> Any:
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
-    pass_count = len(CONTACT_ORDER) if transfers_history(state) else 1
-
-    @ti.func
-    def in_this_pass(list_index, pass_index):
-        """1 if the entry is evaluated in this pass; see CONTACT_ORDER."""
-        chosen = 1
-        if ti.static(pass_count > 1):
-            chosen = ti.cast(neighbors.in_contact[list_index] == ti.Vector(CONTACT_ORDER)[pass_index], ti.i32)
-        return chosen
-
+    pass_count, in_this_pass = _build_passes(state)
     force_controlled = features.force_controlled_walls
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
