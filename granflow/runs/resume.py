@@ -76,10 +76,11 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
-    before = scene_of(checkpoint.scene, str(checkpoint.path))
+    # Both scenes are read from text, so that only differences of the text count.
+    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, scene.text()))
     check_run(checkpoint, before, plan_fingerprint(plan))
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
-    refused = forbidden(before, scene, stages_over)
+    refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
         named = " ".join(f"{checkpoint.path}: {each}, which cannot change when a run continues." for each in refused)
         raise GranflowError(
@@ -88,7 +89,7 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
     check_engine(checkpoint, plan, before)
-    return Change(differences(before, scene))
+    return Change(differences(before, now))
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
