@@ -50,11 +50,6 @@ class WorkerTuner:
         """Number of workers for the next launch."""
         return self._candidate or self.size
 
-    @property
-    def in_trial(self) -> bool:
-        """True if the next launch is part of a trial."""
-        return bool(self._candidate)
-
     def record(self, work: float, seconds: float, contended: bool) -> None:
         """Record a launch.
 
