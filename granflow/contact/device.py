@@ -2,7 +2,8 @@
 
 Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the record of a
 contact model contains its device functions. A device function may be a method: `self` is a constant of the
-compilation, so that numbers of `self` become literals and `ti.static(self.x)` removes branches.
+compilation, so that `ti.static(self.x)` removes branches. Numbers of `self` would become literals, and each new value
+would be compiled again; device functions read them in `constants`, see `law.Law.parameters`.
 """
 
 from collections.abc import Callable

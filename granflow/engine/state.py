@@ -131,6 +131,7 @@ class Control(Fields):
     list_length_needed:         largest number of entries of a chunk
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
+    law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk [J]
     impulses:                   time integrals of the wall forces of each chunk
     boundary_work:              work at periodic boundaries of each chunk [J]
@@ -149,6 +150,7 @@ class Control(Fields):
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
+        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
@@ -158,6 +160,8 @@ class Control(Fields):
         """Write the constant arrays."""
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
+        if plan.law_parameters:
+            self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
         self.abort_particle[0] = NO_PARTICLE
 
 

@@ -103,7 +103,7 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 
 
 def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.law`.
+    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.surface_law`.
 
     Arguments: pair constants, struct `contact`, load [N], history, and structs as for `build_pair_force`.
     """
