@@ -4,8 +4,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-import taichi as ti
 from contact.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path, single_contact
+
+from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 

@@ -19,6 +19,7 @@ from granflow.contact.law import ContactState, HistoryField, ModelRequest, Norma
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
+from granflow.contact.power import exponential, power
 from granflow.contact.substep_corrections import (
     build_step_mean,
     mean_above,
@@ -56,7 +57,7 @@ def restitution_at(constants, velocity):
         if velocity <= 0.0:
             e = 1.0
         elif velocity < limit:
-            e = ti.exp(-constants.sigma * ti.pow(velocity / (limit - velocity), constants.psi))
+            e = exponential(-constants.sigma * power(velocity / (limit - velocity), constants.psi))
     return e
 
 
