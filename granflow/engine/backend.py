@@ -23,6 +23,10 @@ Precision = Literal["f64", "f32", "mixed"]
 """Floating-point types: f64, f32, or mixed (positions float64, forces and velocities float32)."""
 
 
+MOST_THREADS = 1024
+"""Number of threads in the key of compiled kernels; larger than any pool."""
+
+
 @dataclass(frozen=True)
 class Backend:
     """The settings that Taichi runs with.
@@ -41,6 +45,11 @@ class Backend:
     real: Any
     position_real: Any
     worker_count: int
+
+    @property
+    def types(self) -> dict[str, Any]:
+        """Taichi types by the names of `granflow.fields.DeviceType`."""
+        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32}
 
     @property
     def on_cpu(self) -> bool:
@@ -83,12 +92,12 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     wrapped = guarded if KERNELS == "taichi" else in_context
     ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
     _init(
+        workers,
         arch=getattr(ti, name),
         default_fp=real,
         fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
         log_level=ti.ERROR,
-        cpu_max_num_threads=workers,
         offline_cache_file_path=str(folder),
     )
     _check_started(name)
@@ -111,11 +120,18 @@ def _position_in_source(context: Any, node: Any) -> str:
     return line + context.src[node.lineno - 1] + "\n"
 
 
-def _init(**options: Any) -> None:
-    """Start Taichi without its messages. Raises GranflowError if it cannot allocate memory."""
+def _init(workers: int, **options: Any) -> None:
+    """Start Taichi with a pool of `workers` threads, without its messages.
+
+    The number of threads is part of the key of compiled kernels, but only limits how many threads of the pool a loop
+    uses. After the start of the pool it is therefore set to MOST_THREADS, so that all pools use the same kernels.
+
+    Raises GranflowError if Taichi cannot allocate memory.
+    """
     with redirect_stdout(StringIO()):  # Taichi prints its version
         try:
-            ti.init(**options)
+            ti.init(cpu_max_num_threads=workers, **options)
+            ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS
         except RuntimeError as error:
             reason = str(error).rpartition("] ")[2].rstrip(". ")
             raise GranflowError(f"Taichi cannot start: {reason}. Raise the memory limit of the process.") from None

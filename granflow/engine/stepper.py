@@ -13,12 +13,12 @@ from granflow.engine.force.contact_forces import build_forces
 from granflow.engine.integrate import build_integrate
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
-from granflow.engine.state import State
+from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.step_kernels import build_cpu_steps, build_gpu_step
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH, grown_capacity
+from granflow.plan.capacities import WALL_BATCH
 
 GPU_BATCH = 16
 """Number of GPU steps between two reads of the flags; on a GPU each step is a separate launch."""
@@ -118,10 +118,14 @@ class Stepper:
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1
 
-    def grow_neighbor_lists(self, needed: int) -> None:
-        """Increase the list capacity per chunk to at least `needed` entries and build all kernels again."""
+    def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
+        """Increase the arrays of the neighbor lists and build all kernels again.
+
+        needed:   smallest number of list entries per chunk
+        longest:  smallest length of a list for which a batch suffices
+        """
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(grown_capacity(needed), self._compile)
+        self.state.grow_neighbor_list(self.state.capacities.grown(needed, longest + BATCH + LANES), self._compile)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces at the present positions.

@@ -36,7 +36,7 @@ class ContactOutput:
 
     def __init__(self, state: State) -> None:
         self.state, self.block = state, FieldBlock()
-        self.capacity = state.neighbors.capacity
+        self.capacity = state.capacities.list_entries
         real = state.backend.real
         self.numbers = self.block.vector(real, self.capacity, count=len(QUANTITIES))
         self.force = self.block.vector(real, self.capacity)

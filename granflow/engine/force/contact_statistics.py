@@ -21,7 +21,7 @@ class ContactStatistics:
         self.state = state
         self.block = FieldBlock()
         self.statistics = self.block.vector(
-            ti.f64 if state.backend.precision != "f32" else ti.f32, state.plan.chunk_capacity, count=len(STATISTICS)
+            ti.f64 if state.backend.precision != "f32" else ti.f32, state.plan.capacities.chunks, count=len(STATISTICS)
         )
         self.block.finish()
         self._measure = _build_measure(state, self.statistics)
@@ -45,7 +45,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     Writes:  coordination_number, statistics
     """
     particles, neighbors = state.particles, state.neighbors
-    real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
+    real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
     any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
     pair_constants, stride = build_pair_constants(state), state.stride
 
@@ -57,12 +57,12 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
             if task % stride == 0:
                 chunk = task // stride
                 found = ti.Vector.zero(statistics.dtype, size)
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, 0, dt)
                         if contact.overlap > 0.0:
-                            share = weight(i, j)
+                            share = weight(chunk, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])

@@ -32,11 +32,11 @@ def build_release_history(state: State) -> Any:
     Writes:  in_contact
     """
     particles, neighbors = state.particles, state.neighbors
-    separation, wall_count = _build_separation(state), len(state.plan.walls)
+    separation, wall_count = _build_separation(state), state.parameter("wall_count")
 
     @ti.func
     def release_history(i, list_index, j, pose):
-        released, t = 0, -1 - j - wall_count
+        released, t = 0, -1 - j - wall_count()
         if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
             if separation(i, t, pose).norm() < particles.radius[i]:
                 neighbors.in_contact[list_index] = RELEASED
@@ -56,7 +56,7 @@ def build_acquire_history(state: State) -> Any:
     Writes:  history, in_contact
     """
     neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
-    separation, wall_count, names = _build_separation(state), len(state.plan.walls), list(neighbors.history)
+    separation, wall_count, names = _build_separation(state), state.parameter("wall_count"), list(neighbors.history)
 
     @ti.func
     def released_near(i, t, pose):
@@ -65,7 +65,7 @@ def build_acquire_history(state: State) -> Any:
         # A sphere has few wall entries, so that a search among all of them is cheap.
         for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
             if neighbors.in_contact[list_index] == RELEASED:
-                other = -1 - neighbors.partner[list_index] - wall_count
+                other = -1 - neighbors.partner[list_index] - wall_count()
                 if mesh.wall[other] == mesh.wall[t]:
                     distance = (separation(i, other, pose) - separation(i, t, pose)).norm()
                     if distance < nearest:
@@ -74,7 +74,7 @@ def build_acquire_history(state: State) -> Any:
 
     @ti.func
     def acquire_history(i, list_index, j, pose):
-        t = -1 - j - wall_count
+        t = -1 - j - wall_count()
         if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
             source = released_near(i, t, pose)
             if source >= 0:
