@@ -27,8 +27,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import DeviceObject, ti
 from granflow.contact.material import PairMaterial
+from granflow.kernel_language import DeviceObject, ti
 
 
 @dataclass(frozen=True)

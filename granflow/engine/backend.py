@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import taichi as ti
+from taichi.lang import kernel_impl
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
 from granflow.engine.compilation import guarded
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
+from granflow.engine.kernel_source import source_lines
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 
@@ -77,6 +79,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     if folder.name.startswith(TEMPORARY):
         atexit.register(_stop_and_remove, folder)
     ASTTransformerContext.get_pos_info = _position_in_source
+    kernel_impl.getsourcelines = source_lines
     ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
     _init(
         arch=taichi_arch,

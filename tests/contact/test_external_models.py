@@ -13,7 +13,6 @@ from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, RollingLaw
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
@@ -21,6 +20,7 @@ from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.options import Amount, PairOption
 from granflow.io.checkpoint import read_checkpoint
+from granflow.kernel_language import ti
 from granflow.plan.build import plan_for
 from granflow.scene.jsonschema import json_schema
 from granflow.scene.registration import unregister_contact_model

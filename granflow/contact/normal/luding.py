@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.kernel_language import ti
 
 
 @dataclass(frozen=True)

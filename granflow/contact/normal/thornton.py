@@ -12,11 +12,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
+from granflow.kernel_language import ti
 
 
 @ti.func

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
@@ -27,6 +26,7 @@ from granflow.contact.substep_corrections import (
     reference_turning_point,
     turning_point,
 )
+from granflow.kernel_language import ti
 
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
 

@@ -10,11 +10,11 @@ of simultaneous contacts.
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField, ModelRequest, RollingLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
+from granflow.kernel_language import ti
 
 STOPPED_SHARE = 0.125
 """Largest fraction of the relative rolling rate that one contact removes in one step."""

@@ -5,12 +5,12 @@ The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R 
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField, RollingLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
 from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
+from granflow.kernel_language import ti
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField, TangentialLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import FRICTION
 from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
+from granflow.kernel_language import ti
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.contact.device import at_compile_time
 from granflow.contact.laws import ContactLaws
+from granflow.kernel_language import at_compile_time
 
 
 @at_compile_time

@@ -1,8 +1,8 @@
-"""Device functions of contact models: `ti.func` that imports Taichi at the first compilation.
+"""The kernel language: `ti`, which imports Taichi when a device function is compiled.
 
-Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the record of a
-contact model contains its device functions. A device function may be a method: `self` is a constant of the
-compilation, so that numbers of `self` become literals and `ti.static(self.x)` removes branches.
+Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the records of
+contact models and wall shapes contain their device functions. A device function may be a method: `self` is a constant
+of the compilation, so that numbers of `self` become literals and `ti.static(self.x)` removes branches.
 """
 
 from collections.abc import Callable
