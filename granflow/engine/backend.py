@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
+from granflow.engine.kernel_source import source_lines
 from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
@@ -89,6 +90,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         atexit.register(_stop_and_remove, folder)
     if KERNELS == "taichi":
         ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
+        ti.lang.kernel_impl.getsourcelines = source_lines
     wrapped = guarded if KERNELS == "taichi" else in_context
     ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
     _init(

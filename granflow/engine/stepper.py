@@ -88,6 +88,7 @@ class Stepper:
         self._rebuild = NeighborListRebuild(state, on_deleted, self.grow_neighbor_lists)
         self._workers = Workers(state)
         self._pose = WALL_BATCH if state.plan.has_poses else 0
+        self._first_pose_step: int | None = None
         self._step_seconds = 0.0
         self._compile()
 
@@ -143,18 +144,28 @@ class Stepper:
 
         Contact displacements do not change.
         """
-        self.place_walls(step)
-        self.rebuild_neighbor_lists()
-        self.forces(history_step=0.0)
+        pose = self.place_walls(step)
+        self.rebuild_neighbor_lists(pose)
+        self.forces(pose, history_step=0.0)
 
-    def place_walls(self, step: int) -> None:
-        """Upload the wall poses after step number `step`, as pose 0."""
-        if self.state.plan.has_poses:
+    def place_walls(self, step: int) -> int:
+        """Index of the wall poses after step number `step`; uploads them unless they are on the device."""
+        if not self.state.plan.has_poses:
+            return 0
+        first = self._first_pose_step
+        if first is None or not 0 <= step - first < WALL_BATCH:
             self._upload(step)
-            self._pose = WALL_BATCH
+            self._pose, first = 1, step
+        return step - first
+
+    def discard_poses(self) -> None:
+        """Upload the poses again before their next use, because motions or the time step have changed."""
+        if self.state.plan.has_poses:
+            self._pose, self._first_pose_step = WALL_BATCH, None
 
     def _upload(self, step: int) -> None:
         """Upload the poses of walls and images from step number `step`."""
+        self._first_pose_step = step
         if self.state.plan.features.moving_walls:
             upload_poses(self.state, step)
         if self.state.plan.features.lees_edwards:

@@ -140,14 +140,16 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
 def upload_poses(state: State, step: int) -> None:
     """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
 
-    Times follow from step numbers, so that they are bit-identical for any start of a batch.
+    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles of the
+    steps are evaluated together, and a wall without motion once.
 
     Writes:  center, rotation, velocity, angular_velocity of walls; active
     """
     walls, clock = state.walls, state.clock
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    now = [pose(motions, times) for motions in state.wall_motions]
-    middle = [pose(motions, times - 0.5 * clock.time_step) for motions in state.wall_motions]
+    middles = times - 0.5 * clock.time_step
+    at_rest = pose((), times)
+    both = [pose(motions, np.concatenate([times, middles])) if motions else at_rest for motions in state.wall_motions]
     # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
@@ -157,8 +159,8 @@ def upload_poses(state: State, step: int) -> None:
         padded[:, : len(arrays)] = np.stack(arrays, axis=1)
         field.from_numpy(padded)
 
-    upload_running(state, times - 0.5 * clock.time_step)
-    upload(walls.center, [p.offset + p.pivot for p in now], position_real)
-    upload(walls.rotation, [p.rotation for p in now], position_real)
-    upload(walls.velocity, [p.velocity for p in middle], real)
-    upload(walls.angular_velocity, [p.angular_velocity for p in middle], real)
+    upload_running(state, middles)
+    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
+    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
+    upload(walls.velocity, [p.velocity[-WALL_BATCH:] for p in both], real)
+    upload(walls.angular_velocity, [p.angular_velocity[-WALL_BATCH:] for p in both], real)
