@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
+    from granflow.studies.sweep.sweep import sweep
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
@@ -48,6 +49,7 @@ __all__ = [
     "register_contact_model",
     "start",
     "steady_flow",
+    "sweep",
 ]
 
 _LOCATIONS = {
@@ -67,6 +69,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build:plan_for",
     "start": "granflow.engine.backend:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
+    "sweep": "granflow.studies.sweep.sweep:sweep",
     "register_contact_model": "granflow.scene.registration:register_contact_model",
     "__version__": "importlib.metadata:version",
 }

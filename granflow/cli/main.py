@@ -21,6 +21,7 @@ from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
+from granflow.cli.sweep import add_sweep
 from granflow.errors import GranflowError
 from granflow.visible_text import visible
 
@@ -96,6 +97,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_accuracy(verbs)
     add_compare(verbs)
     add_stability(verbs)
+    add_sweep(verbs)
     add_render(verbs)
     add_report(verbs)
     add_cache(verbs)
