@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
+    from granflow.studies.calibration.calibrate import calibrate
     from granflow.studies.sweep.sweep import sweep
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
@@ -41,6 +42,7 @@ __all__ = [
     "Simulation",
     "Snapshot",
     "analyze_snapshots",
+    "calibrate",
     "estimate_memory",
     "explain",
     "load_scene",
@@ -62,6 +64,7 @@ _LOCATIONS = {
     "Simulation": "granflow.simulation:Simulation",
     "Snapshot": "granflow.snapshot:Snapshot",
     "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
+    "calibrate": "granflow.studies.calibration.calibrate:calibrate",
     "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",
     "explain": "granflow.plan.explain:explain",
     "load_scene": "granflow.load:load",

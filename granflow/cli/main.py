@@ -10,6 +10,7 @@ from typing import Any
 from granflow.cli.accuracy import add_accuracy
 from granflow.cli.analyze import add_analyze
 from granflow.cli.beverloo import add_beverloo
+from granflow.cli.calibrate import add_calibrate
 from granflow.cli.compare import add_compare
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
@@ -98,6 +99,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare(verbs)
     add_stability(verbs)
     add_sweep(verbs)
+    add_calibrate(verbs)
     add_render(verbs)
     add_report(verbs)
     add_cache(verbs)
