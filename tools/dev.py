@@ -21,7 +21,7 @@ ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / "granflow-installed.txt"
 UNFINISHED = "unfinished"
 OLDEST, NEWEST = (3, 10), (3, 13)
-EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot")}
+EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot", "sweep", "cluster", "calibrate")}
 
 
 def main(arguments: "list[str]") -> int:
@@ -83,7 +83,7 @@ def install(extras: "tuple[str, ...]") -> None:
     if usable and {inputs, *extras} <= set(installed):
         return
     print(f"Setting up {ENVIRONMENT} (the first time takes a minute or two) ...", file=sys.stderr)
-    extras = tuple(sorted({*extras, *({"dev", "plot"} & set(installed))}))
+    extras = tuple(sorted({*extras, *(set(EXTRAS["slow"]) & set(installed))}))
     if not usable:
         make_environment()
     STAMP.write_text(UNFINISHED + "\n")
