@@ -114,7 +114,12 @@ def _refuse_overload(client: Any, threads: int) -> None:
     info = client.scheduler_info(n_workers=-1)["workers"]
     if not info:
         raise GranflowError("The scheduler has no workers: start some with dask worker ADDRESS --nthreads N.")
-    cores = client.run(machine_cores)
+    try:
+        cores = client.run(machine_cores)
+    except Exception as error:  # any exception of a worker, such as ModuleNotFoundError
+        raise GranflowError(
+            f"The workers cannot run granflow ({error}): install the same version of granflow on all machines."
+        ) from None
     needed: dict[str, int] = {}
     for address, (host, _) in cores.items():
         needed[host] = needed.get(host, 0) + threads * info[address]["nthreads"]
