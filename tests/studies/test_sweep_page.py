@@ -102,7 +102,8 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     assert restitution.value == pytest.approx(0.62, abs=0.02) and not restitution.not_identified
     assert friction.not_identified == "friction cannot be identified from the targets: none of them responds to it."
     write_result(tmp_path, result)
-    write_calibration_page(tmp_path, search.calibration, "study", result, search)
+    write_calibration_page(tmp_path, search.calibration, "study", result)
     page = (tmp_path / "calibration.html").read_text()
+    assert (friction.importance, restitution.importance) == (0.0, 1.0)
     assert friction.not_identified in page and ">Importance</h2>" in page
     assert len((tmp_path / "trials.csv").read_text().splitlines()) == 13

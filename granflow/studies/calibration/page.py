@@ -9,7 +9,6 @@ from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of
 from granflow.studies.calibration.schema import CalibrationInput
-from granflow.studies.calibration.search import Search
 from granflow.studies.figures import COLORS
 from granflow.studies.page import page_text
 from granflow.studies.report.plots import Plot, library
@@ -21,13 +20,8 @@ PAGE = "calibration.html"
 HEIGHT = 340
 """Height of a plot [pixels]."""
 
-FEWEST_TRIALS = 10
-"""Smallest number of completed trials for the importance of the parameters."""
 
-
-def write_calibration_page(
-    out: Path, calibration: CalibrationInput, name: str, result: CalibrationResult, search: Search
-) -> None:
+def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, result: CalibrationResult) -> None:
     """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
     script = library()
     text = page_text(
@@ -42,7 +36,7 @@ def write_calibration_page(
         has_plots=bool(script),
         convergence=_convergence(result),
         losses=_losses(result, calibration),
-        importance=_importance(search),
+        importance=_importance(result),
         trials=_trials(result),
     )
     write_text(out / PAGE, text)
@@ -110,23 +104,19 @@ def _hover(trial: Any) -> str:
     return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
 
 
-def _importance(search: Search) -> Plot | None:
-    """Importance of each parameter for the loss (PED-ANOVA); None with too few trials.
-
-    (S. Watanabe, A. Bansal & F. Hutter, IJCAI 2023, 4389.)
-    """
-    if len(search.completed()) < FEWEST_TRIALS or len(search.calibration.parameters) < 2:
+def _importance(result: CalibrationResult) -> Plot | None:
+    """Share of each parameter in the squared gradients of the residuals at the best values; None without a fit."""
+    shares = [each.importance for each in result.parameters]
+    if any(share != share for share in shares) or len(shares) < 2:
         return None
-    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
-
-    evaluator = PedAnovaImportanceEvaluator()
-    found = get_param_importances(search.study, evaluator=evaluator)
     data = {
-        "type": "bar", "x": [last_key(name) for name in found], "y": [plain(each) for each in found.values()],
-        "marker": {"color": COLORS[0]},
+        "type": "bar", "marker": {"color": COLORS[0]}, "y": [plain(share) for share in shares],
+        "x": [last_key(each.name) for each in result.parameters],
     }  # fmt: skip
     axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
-    caption = "Importance of the parameters for a small loss (PED-ANOVA)"
+    caption = (
+        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the best trial"
+    )
     return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 

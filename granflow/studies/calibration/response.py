@@ -105,11 +105,12 @@ def _term_slopes(u: np.ndarray, degree: int) -> np.ndarray:
 class Identification:
     """What the targets determine: standard deviation (d,) of each parameter in [0, 1]; responses to each parameter.
 
-    `responds` (d,): whether any target responds to the parameter at the best values.
+    `importance` (d,): share of each parameter in the squared gradients of the residuals at the best values; 0 if no
+    target responds to the parameter.
     """
 
     deviation: np.ndarray
-    responds: np.ndarray
+    importance: np.ndarray
 
     def is_identified(self, index: int) -> bool:
         """Whether the targets determine a parameter."""
@@ -120,8 +121,8 @@ class Identification:
         if self.is_identified(index):
             return ""
         name = names[index]
-        others = [other for k, other in enumerate(names) if k != index and self.responds[k]]
-        if not self.responds[index]:
+        others = [other for k, other in enumerate(names) if k != index and self.importance[k] > 0.0]
+        if self.importance[index] == 0.0:
             return f"{name} cannot be identified from the targets: none of them responds to it."
         if others:
             together = ", ".join(others)
@@ -134,4 +135,6 @@ def identification(response: Response, best: np.ndarray) -> Identification:
     slopes, errors = response.gradient(best)
     slopes = np.where(np.abs(slopes) >= SIGNIFICANT * errors, slopes, 0.0)
     information = (slopes.T / (1.0 + response.scatter**2)) @ slopes + np.eye(len(best)) / UNIFORM_VARIANCE
-    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), np.any(slopes != 0.0, axis=0))
+    squares = (slopes**2).sum(axis=0)
+    total = float(squares.sum()) or 1.0
+    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), squares / total)

@@ -27,12 +27,14 @@ FEWEST_TRIALS = 20
 class BestValue:
     """Best value of a parameter with its standard deviation (nan without a fit).
 
-    `not_identified`: a sentence if the targets do not identify the parameter, otherwise empty.
+    `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a fit; `not_identified`: a
+    sentence if the targets do not identify the parameter, otherwise empty.
     """
 
     name: str
     value: float
     deviation: float
+    importance: float
     not_identified: str
 
 
@@ -82,11 +84,12 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
     u, residuals = search.scaled(completed)
     response = fit_response(u, residuals, best)
     if response is None:
-        return [BestValue(name, values[name], nan, "") for name in parameters]
+        return [BestValue(name, values[name], nan, nan, "") for name in parameters]
     known = identification(response, u[best])
     return [
         BestValue(
             name, values[name], deviation_in_units(parameter, values[name], float(known.deviation[k])),
+            float(known.importance[k]),
             known.statement(list(parameters), k),
         )
         for k, (name, parameter) in enumerate(parameters.items())
