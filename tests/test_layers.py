@@ -46,6 +46,7 @@ STUDIES_IMPORT = {
     "granflow.errors",
     "granflow.fields",
     "granflow.scene.suggest",
+    "granflow.scene.validated_file",
     "granflow.visible_text",
 }
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.schema`."""
