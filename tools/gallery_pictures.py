@@ -29,7 +29,7 @@ OPTIONS = {
     "mixer": ["--color", "group", "--fit", "particles"],
     "impact": ["--cut", "--fit", "particles"],
     "dosta2024_penetration": ["--cut", "--fit", "particles"],
-    "column_collapse": ["--color", "position.z", "--fit", "particles"],
+    "column_collapse": ["--fit", "particles"],
     "two_spheres": ["--view", "front", "--fit", "particles"],
     "sheared_layer": ["--view=1,-2,0.6", "--fit", "particles"],
     "shear_cell": ["--view=1,-2,0.6", "--color", "velocity.x", "--fit", "particles"],

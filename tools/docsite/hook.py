@@ -30,6 +30,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
 """Generated pages by path."""
 MODEL = re.compile(r"<!-- contact model (\w+) -->")
 MODELS = "<!-- contact models -->"
+BOLD_GREEK = re.compile(r'<mi mathvariant="bold-italic">&#x(003[BC][0-9A-F]);</mi>')
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -67,7 +68,14 @@ def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
 
 
 def mathml(formula: str, is_block: bool) -> str:
-    """MathML of a LaTeX formula."""
+    """MathML of a LaTeX formula; bold letters are characters, because browsers ignore the attribute."""
     from latex2mathml.converter import convert
 
-    return str(convert(html.unescape(formula).strip(), display="block" if is_block else "inline"))
+    latex = re.sub(r"\\mathbf ([A-Za-z])", r"\\mathbf{\1}", html.unescape(formula).strip())
+    converted = BOLD_GREEK.sub(_bold, str(convert(latex, display="block" if is_block else "inline")))
+    return f'<div class="formula">{converted}</div>' if is_block else converted
+
+
+def _bold(found: re.Match[str]) -> str:
+    """A Greek letter as the bold italic mathematical character."""
+    return f"<mi>&#x{int(found[1], 16) - 0x03B1 + 0x1D736:X};</mi>"
