@@ -33,16 +33,17 @@ VECTORS = {
     **dict.fromkeys(("normal", "axis", "direction"), "[0, 0, 1]"),
 }
 """Examples of lists of numbers by key."""
-MAPPINGS = {
+EXAMPLES = {
     "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
+    "phase": "90 deg",
     "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
 }
-"""Examples of mappings that have requirements beyond those of their keys."""
+"""Examples by key where the shipped scenes have special values or none."""
 
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    value = MAPPINGS.get(key.name) or _described(key.description) or _from_scenes(key)
+    value = EXAMPLES.get(key.name) or _described(key.description) or _from_scenes(key)
     return f"{key.name}: {value or _typical(key.schema, key.name)}"
 
 
