@@ -124,3 +124,13 @@ def test_pictured_restitution_agrees_with_the_closed_form(name):
 
 def test_preset_page_contains_the_sources():
     assert docsite("quantity_pages").presets().count("Source: ") == len(docsite("example_laws").PRESETS)
+
+
+def test_gallery_contains_every_scene_and_every_comparison():
+    gallery = docsite("gallery")
+    page = gallery.page()
+    rows = YAML(typ="safe").load(gallery.COMPARISONS)
+    assert all(f"`{name}`" in page or f"granflow example {name}\n" in page for name in gallery.names())
+    assert sum(page.count(" ".join(row["granflow"].split())) >= 1 for row in rows) == len(rows)
+    pictures = set(re.findall(r"\(gallery/([\w.]+)\)", page))
+    assert pictures == {path.name for path in gallery.PICTURES.iterdir()}

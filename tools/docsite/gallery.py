@@ -60,6 +60,8 @@ def _section(name: str) -> str:
     """Title, description, comparisons with published values and command of a scene."""
     scene = _scene(name)
     lines = [f"## {scene['title']} {{ #{_identifier(name)} }}\n", f"{scene['description']}\n"]
+    if picture_of(name).exists():
+        lines.append(f"![{scene['title']}](gallery/{picture_of(name).name}){{ width=360 }}\n")
     lines.append(f"```text\ngranflow example {name}\ngranflow run {Path(name).name}.yaml\n```\n")
     if rows := list(_comparisons(name)):
         lines.append(table(("case", "granflow", "published or theory", "deviation"), rows))
