@@ -83,15 +83,16 @@ def main_accepts(command):
     return True
 
 
-def converted_scenes():
-    """Names and texts of the converted scenes."""
-    for language, text in blocks("guides/other_codes.md"):
-        if language == "yaml":
-            yield NAMED.match(text)[1], text
+def guide_scenes(page="*"):
+    """Names and texts of the complete scenes of the guides."""
+    for path in sorted((PAGES / "guides").glob(f"{page}.md")):
+        for language, text in blocks(path.relative_to(PAGES)):
+            if language == "yaml" and NAMED.match(text):
+                yield NAMED.match(text)[1], text
 
 
-@pytest.mark.parametrize(("name", "text"), [pytest.param(*each, id=each[0]) for each in converted_scenes()])
-def test_converted_scene_has_no_problems(name, text, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("name", "text"), [pytest.param(*each, id=each[0]) for each in guide_scenes()])
+def test_scene_of_a_guide_has_no_problems(name, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(text)
     assert main(["check", name]) == 0
@@ -100,7 +101,7 @@ def test_converted_scene_has_no_problems(name, text, tmp_path, monkeypatch, caps
 
 
 def test_every_compared_code_has_a_converted_scene():
-    assert [name.split("_")[0] for name, _ in converted_scenes()] == ["liggghts", "lammps", "yade", "mercury", "edem"]
+    assert [name.split("_")[0] for name, _ in guide_scenes("other_codes")] == ["liggghts", "lammps", "yade", "mercury", "edem"]
 
 
 def test_guides_and_tutorials_are_in_the_navigation():
