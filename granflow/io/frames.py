@@ -94,11 +94,25 @@ class FrameSeries:
 
 
 def write_vtu(path: Path, mesh: meshio.Mesh) -> None:
-    """Write the mesh to a VTU file, binary and zlib-compressed, atomically."""
+    """Write the mesh to a VTU file, binary and zlib-compressed, atomically.
+
+    A mesh without cells gets one polygon without corners, with zero data: meshio cannot read files without cells.
+    """
+    mesh = mesh if any(len(block.data) for block in mesh.cells) else _with_empty_polygon(mesh)
     # For an empty compressed array, the header that meshio writes declares a block that does not exist.
     compression = "zlib" if len(mesh.points) else None
     with replacing(path) as temporary:
         meshio.write(temporary, mesh, file_format="vtu", binary=True, compression=compression)
+
+
+def _with_empty_polygon(mesh: meshio.Mesh) -> meshio.Mesh:
+    """A mesh without cells, with a polygon that has no corners; its data are 0."""
+    data = {
+        name: [np.zeros((1, *np.shape(parts[0])[1:]), np.asarray(parts[0]).dtype)]
+        for name, parts in mesh.cell_data.items()
+    }
+    empty = [("polygon", np.zeros((1, 0), np.int64))]
+    return meshio.Mesh(mesh.points, empty, point_data=mesh.point_data, cell_data=data)
 
 
 def mesh_of_points(points: np.ndarray, point_data: dict[str, np.ndarray]) -> meshio.Mesh:

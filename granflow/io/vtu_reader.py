@@ -23,6 +23,9 @@ CELLS = {
 }  # fmt: skip
 """Supported cell types by VTK number: name and number of corners."""
 
+POLYGON = 7
+"""VTK number of a polygon, which frames without cells contain, because meshio cannot read files without cells."""
+
 MAX_PIECES, MAX_DEPTH = 1000, 16
 """Largest number of pieces, and of nested elements."""
 LARGEST_FILE = 2**30
@@ -134,6 +137,8 @@ def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list
         return []
     kinds = source.array(found["types"], count, 1).ravel()
     ends = source.array(found["offsets"], count, 1).ravel().astype(np.int64)
+    if count == 1 and kinds[0] == POLYGON and not ends[0]:  # in frames without particles, contacts or walls
+        return []
     unknown = set(np.unique(kinds).tolist()) - set(CELLS)
     if unknown:
         raise FormatError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")
