@@ -29,7 +29,7 @@ class ContactStatistics:
         self._measure = _build_measure(state, self.statistics)
 
     def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination_number`."""
+        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills both contact counts."""
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
@@ -44,17 +44,20 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     """Kernel (chunks, count, time_step): statistics of each chunk; a pair in two lists counts half in each.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, statistics
+    Writes:  coordination_number, wall_contact_count, statistics
     """
     particles, neighbors, control = state.particles, state.neighbors, state.control
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     any_kinematics, weight, pair_number = build_any_kinematics(state), build_weight(state), build_pair_number(state)
+    has_walls = state.plan.features.walls
     energies, constants_of, stride = build_energies(state), build_constants(state.plan.laws), state.stride
 
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
         for i in range(count):
             particles.coordination_number[i] = 0
+            if ti.static(has_walls):
+                particles.wall_contact_count[i] = 0
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
@@ -76,9 +79,12 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
                             found[ELASTIC] += share * elastic
                             found[PLASTIC] += share * plastic
-                            particles.coordination_number[i] += 1
-                            if share == 1.0 and j >= 0:
-                                particles.coordination_number[j] += 1
+                            if j >= 0:
+                                particles.coordination_number[i] += 1
+                                if share == 1.0:
+                                    particles.coordination_number[j] += 1
+                            elif ti.static(has_walls):
+                                particles.wall_contact_count[i] += 1
                 statistics[chunk] = found
 
     return measure
