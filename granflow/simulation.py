@@ -19,7 +19,7 @@ from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
 from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.plan.scene_parts import PlannedStage
-from granflow.runs.initial_particles import initial_state
+from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
 from granflow.runs.result import Result
@@ -55,6 +55,8 @@ class Simulation:
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
 
+    `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
+
     `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
     have the same architecture, precision and threads.
     """
@@ -86,6 +88,7 @@ class Simulation:
             refuse_without_memory(self.plan)
         change = None if resume is None else accepted_change(resume, scene, self.plan, allow_changes)
         initial, earlier = initial_state(scene, self.plan, particles, resume)
+        self.warnings = warnings_before(scene, self.plan, initial)
         self._insertion = ParticleInsertion(scene, earlier)
         self.files.create()
         self.observers = ObserverList([*observers_for(self.plan, self.files.path, progress), *observers])
@@ -141,7 +144,7 @@ class Simulation:
             with self.files.open(self.observers.checkpointed().values()):
                 try:
                     if self.files.path is not None:
-                        log_plan(self.plan, self.engine, self._resumed)
+                        log_plan(self.plan, self.engine, self._resumed, self.warnings)
                     return self._run(until)
                 finally:
                     self.observers.finish()
@@ -189,8 +192,7 @@ class Simulation:
             result = result.with_expectations(self.plan.expectations)
         self._insertion.log_end()
         logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
-        self.files.write(result)
-        return result
+        return self.files.write(result)
 
     def request_stop(self, error: BaseException) -> None:
         """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""

@@ -4,6 +4,7 @@ import logging
 import time as clock
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from granflow.errors import OutputError
 from granflow.io.atomic_files import remove_parts
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import locked
-from granflow.io.log import run_log, write_scene_as_run
+from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_writer import CheckpointWriter
@@ -35,6 +36,7 @@ class RunDirectory:
         self._writer = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
+        self._warnings: list[str] = []
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
 
@@ -50,6 +52,7 @@ class RunDirectory:
         An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
         """
         with ExitStack() as stack:
+            self._warnings = stack.enter_context(collected_warnings())
             if self.path is not None:
                 stack.enter_context(locked(self.path))
                 if self._resumed is None:
@@ -107,10 +110,12 @@ class RunDirectory:
                 raise
             logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
 
-    def write(self, result: Result) -> None:
-        """Write the result of the run."""
+    def write(self, result: Result) -> Result:
+        """Write the result of the run with all its warnings; return it with the warnings."""
+        result = replace(result, warnings=tuple(dict.fromkeys(self._warnings)))
         if self.path is not None:
             write_result(self.path, result)
+        return result
 
     def note_on_state(self, written: bool) -> str:
         """Return a sentence for an aborted run: whether its state is `written`; empty without a path."""
