@@ -38,6 +38,7 @@ class ContactPair:
     radius:           [m] of the smaller particle
     radius_eff:       effective radius [m]
     mass_eff:         effective mass [kg]
+    weight:           pressure [Pa] of the weight of all particles on the section of the present bed
     """
 
     first: Body
@@ -49,3 +50,4 @@ class ContactPair:
     radius: float
     radius_eff: float
     mass_eff: float
+    weight: float

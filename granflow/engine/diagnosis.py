@@ -187,7 +187,26 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
         "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
     )
     stable = stable_step(pair_case, plan.law, impact_velocity)
-    return ContactPair(first, second, overlap, approach, impact_velocity, stable, smaller, radius_eff, mass_eff)
+    return ContactPair(
+        first, second, overlap, approach, impact_velocity, stable, smaller, radius_eff, mass_eff,
+        _weight_pressure(plan, arrays),
+    )  # fmt: skip
+
+
+def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
+    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present bed.
+
+    The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
+    """
+    gravity, mobile = np.array(plan.gravity), (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
+    magnitude = float(np.linalg.norm(gravity))
+    if not magnitude or not mobile.any():
+        return 0.0
+    reach = np.where(mobile, arrays["radius"], 0.0)[mobile, None]
+    size = (arrays["position"][mobile] + reach).max(axis=0) - (arrays["position"][mobile] - reach).min(axis=0)
+    section = np.abs(gravity) / magnitude @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]]
+    planned = sum(group.count for group in plan.groups if not group.fixed) / mobile.sum()
+    return float(magnitude * arrays["mass"][mobile].sum() * planned / section)
 
 
 def _contact_count(candidates: CandidatePairs, *ends: int) -> int:

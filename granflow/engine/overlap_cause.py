@@ -6,6 +6,7 @@ from granflow.engine.abort_bodies import ContactPair
 from granflow.plan.forecast.advice import modulus_factor, modulus_text, required_moduli
 from granflow.plan.forecast.contact import ContactForces, TouchingPair, attraction_share, impact_overlap, static_overlap
 from granflow.plan.forecast.overlaps import ENOUGH
+from granflow.plan.forecast.pressures import BedPressure
 from granflow.plan.plan import Plan
 from granflow.scene.schema.run import LARGEST_OVERLAP
 
@@ -19,6 +20,9 @@ COHESIVE_SHARE = 0.5
 GROWTH = 1.25
 """Overlap assumed for a static load over the observed one: the run stopped while the load increased."""
 
+SUDDEN = 2.0
+"""Largest force of a weight over its static force: the bed is still settling when the run stops."""
+
 SPEED_MARGIN = 1.2
 """Factor from an observed velocity to the recommended `velocity_max`."""
 
@@ -27,7 +31,7 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact model.
 
     The moduli are those at which the same impact or load stays below the limit, see `forecast.advice`. For static loads
-    the largest of the observed overlap and the forecasts for the whole scene counts: the load may still increase.
+    the largest of the observed force, the weight of all particles and the walls counts: the load may still increase.
     """
     touching = TouchingPair(
         "", (pair.first.material, pair.second.material), plan.pair(pair.first.material, pair.second.material),
@@ -37,7 +41,7 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
     if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
-        return _static(touching, plan, pair.overlap)
+        return _static(touching, plan, pair)
     return _impact(touching, plan, pair.impact_velocity)
 
 
@@ -55,13 +59,16 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float) -> str:
     )
 
 
-def _static(touching: TouchingPair, plan: Plan, overlap: float) -> str:
+def _static(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     """Cause and remedy of a static load: of a wall that presses on the bed, or of the weight and other particles."""
-    by_cause = {each.cause: each.overlap for each in plan.forecasts if each.cause in ("weight", "wall")}
-    expected = max(GROWTH * overlap, *by_cause.values()) if by_cause else GROWTH * overlap
-    force = ContactForces(plan.laws, touching, 1.0).total(expected * touching.radius, 0.0)
+    weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
+    by_weight = SUDDEN * weight.largest_force(2.0 * touching.radius)
+    by_wall = max((each.force for each in plan.forecasts if each.cause == "wall"), default=0.0)
+    observed = ContactForces(plan.laws, touching, 1.0).total(GROWTH * contact.overlap * touching.radius, 0.0)
+    force = max(observed, by_weight, by_wall)
+    expected = static_overlap(plan.laws, touching, force)
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
-    pressing = by_cause.get("wall", 0.0) > by_cause.get("weight", 0.0)
+    pressing = by_wall > by_weight
     names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
     cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
     less = ", lower the pressure" if pressing else ""
@@ -69,10 +76,16 @@ def _static(touching: TouchingPair, plan: Plan, overlap: float) -> str:
 
 
 def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:
-    """Cause and remedy of an overlap by cohesion; `attraction`: over the repulsion."""
+    """Cause and remedy of an overlap by cohesion; `attraction`: over the repulsion.
+
+    The remedy also covers impacts at the planned velocity, which the attraction makes deeper.
+    """
     assert plan.laws.cohesion is not None
-    largest = static_overlap(plan.laws, touching, 0.0)
-    remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, 0.0), largest)
+
+    def overlap(pair: TouchingPair) -> float:
+        return max(static_overlap(plan.laws, pair, 0.0), impact_overlap(plan.laws, pair, plan.velocity_max))
+
+    remedy = _moduli(touching, plan, overlap, overlap(touching))
     keys = " or ".join(plan.laws.cohesion.constant_names)
     return f"Its cause is cohesion, {attraction:.2g} of the repulsion: lower {keys}, or {remedy}."
 

@@ -25,6 +25,7 @@ class Forecast:
     """One forecast for `granflow explain`: name, value and remark; `warning`: sentence for check and run, or None.
 
     cause, overlap:  of a forecast overlap: its cause, and the overlap over the smaller radius; None and 0 for others
+    force:           largest contact force [N] of a static pressure, for the pair with the largest overlap
     """
 
     name: str
@@ -33,6 +34,7 @@ class Forecast:
     warning: str | None = None
     cause: Cause | None = None
     overlap: float = 0.0
+    force: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ def static_forecasts(
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
-        yield Forecast(name, f"up to {_share(largest.overlap)}", remark, warning, load.kind, largest.overlap)
+        force = load.largest_force(2.0 * largest.pair.radius)
+        yield Forecast(name, f"up to {_share(largest.overlap)}", remark, warning, load.kind, largest.overlap, force)
 
 
 def cohesion_forecast(scene: Scene, laws: ContactLaws, pairs: Iterable[TouchingPair]) -> Forecast | None:

@@ -15,7 +15,7 @@ from granflow.plan.pair_cases import solid
 from granflow.plan.size_classes import diameter_range
 from granflow.plan.wall_control import ControlledMotion, section
 from granflow.plan.walls import PlannedWall
-from granflow.scene.schema.insertion import FileInsertion, LatticeInsertion, PackInsertion
+from granflow.scene.schema.insertion import FileInsertion, LatticeInsertion, PackInsertion, PositionsInsertion
 from granflow.scene.schema.particles import Group
 
 SOLID_FRACTION = 0.6
@@ -81,7 +81,8 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
 
         p = |g| sum M_i / A_i,       at most 0.64 rho |g| H
 
-    A lattice or a packing has the section A of its region; other particles can fill the domain. With H, the height of
+    A lattice or a packing has the section A of its region, given positions that of their bounding box; other particles
+    can fill the domain. With H, the height of
     the domain, and the density of the random close packing, the pressure is not above that of a full domain. The walls
     carry a part of the weight (Janssen 1895), which is not considered: the pressure is an upper bound for a bed that
     keeps its section.
@@ -117,6 +118,9 @@ def solid_volume(scene: Scene) -> float:
 
 def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other insertions."""
+    if isinstance(group.insert, PositionsInsertion):
+        x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
+        return float(np.abs(down) @ [y * z, z * x, x * y])
     if not isinstance(group.insert, LatticeInsertion | PackInsertion):
         return section(scene, down)
     region = sampler_of(group.insert.region)
