@@ -20,7 +20,7 @@ from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
 from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.plan.scene_parts import PlannedStage
-from granflow.runs.initial_particles import initial_state
+from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
 from granflow.runs.result import Result
@@ -50,6 +50,8 @@ class Simulation:
     plan:           replaces the plan of the scene
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
+
+    `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
 
     `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
     have the same architecture, precision and threads.
@@ -82,6 +84,7 @@ class Simulation:
             refuse_without_memory(self.plan)
         change = None if resume is None else accepted_change(resume, scene, self.plan, allow_changes)
         initial, earlier = initial_state(scene, self.plan, particles, resume)
+        self.warnings = warnings_before(scene, self.plan, initial)
         self._insertion = ParticleInsertion(scene, earlier)
         self.files.create()
         own_observers = observers_for(self.plan, self.files.path, progress, self.files.writer)
@@ -129,7 +132,7 @@ class Simulation:
         try:
             with self.files.open(self.observers.checkpointed().values()), self.observers.finishing():
                 if self.files.path is not None:
-                    log_plan(self.plan, self.engine, self._resumed)
+                    log_plan(self.plan, self.engine, self._resumed, self.warnings)
                 return self._run(until)
         except OSError as error:
             save = self._save if self._progress.target is not None else None
@@ -172,8 +175,7 @@ class Simulation:
             result = result.with_expectations(self.plan.expectations)
         self._insertion.log_end()
         logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
-        self.files.write(result)
-        return result
+        return self.files.write(result)
 
     def request_stop(self, error: BaseException) -> None:
         """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""

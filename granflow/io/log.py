@@ -45,6 +45,32 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
             handler.close()
 
 
+LOGGERS = ("granflow", "granflow.checkpoint")
+"""Loggers of warnings during a run."""
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """In the block, add the text of each warning of LOGGERS to the list.
+
+    A filter, not a handler: without any handler, Python prints warnings on stderr.
+    """
+    found: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.WARNING:
+            found.append(record.getMessage())
+        return True
+
+    for name in LOGGERS:
+        logging.getLogger(name).addFilter(collect)
+    try:
+        yield found
+    finally:
+        for name in LOGGERS:
+            logging.getLogger(name).removeFilter(collect)
+
+
 def versions() -> str:
     """Return the versions of granflow, the kernel language, numpy and Python, and the platform."""
     packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", KERNELS, "numpy"))

@@ -20,6 +20,9 @@ CELL_TYPES = {
 }  # fmt: skip
 """Supported cell types by name: VTK number and number of corners."""
 
+POLYGON = 7
+"""VTK number of a polygon, which frames without cells contain, because meshio cannot read files without cells."""
+
 
 @dataclass(frozen=True, eq=False)
 class VtuMesh:

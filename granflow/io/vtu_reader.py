@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.io.regular_files import FormatError, read_regular
 from granflow.io.vtu_arrays import ArraySource
-from granflow.io.vtu_mesh import CELL_TYPES, CellBlock, VtuMesh
+from granflow.io.vtu_mesh import CELL_TYPES, POLYGON, CellBlock, VtuMesh
 
 CELLS = {number: (name, corners) for name, (number, corners) in CELL_TYPES.items()}
 """Name and number of corners by VTK number."""
@@ -131,6 +131,8 @@ def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list
         return []
     kinds = source.array(found["types"], count, 1).ravel()
     ends = source.array(found["offsets"], count, 1).ravel().astype(np.int64)
+    if count == 1 and kinds[0] == POLYGON and not ends[0]:  # in frames without particles, contacts or walls
+        return []
     unknown = set(np.unique(kinds).tolist()) - set(CELLS)
     if unknown:
         raise FormatError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")

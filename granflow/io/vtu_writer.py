@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from granflow.io.atomic_files import replacing
-from granflow.io.vtu_mesh import CELL_TYPES, CellBlock, VtuMesh
+from granflow.io.vtu_mesh import CELL_TYPES, POLYGON, CellBlock, VtuMesh
 
 BLOCK_SIZE = 2**20
 """Bytes of an array that are compressed together."""
@@ -37,15 +37,28 @@ def write_vtu(path: Path, mesh: VtuMesh) -> None:
 
 
 def _parts(mesh: VtuMesh) -> Iterator[bytes]:
-    """Parts of the file in order."""
+    """Parts of the file in order; a mesh without cells gets one polygon without corners, with zero data."""
     cell_count = sum(len(block.data) for block in mesh.cells)
+    cells = _cell_arrays(mesh.cells) if cell_count else _empty_polygon()
+    cell_data = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()}
+    if not cell_count:
+        cell_count, cell_data = 1, {name: np.zeros((1, *v.shape[1:]), v.dtype) for name, v in cell_data.items()}
     yield HEAD
     yield f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cell_count}">\n'.encode()
     yield from _section("Points", {"Points": mesh.points})
-    yield from _section("Cells", _cell_arrays(mesh.cells))
+    yield from _section("Cells", cells)
     yield from _section("PointData", mesh.point_data)
-    yield from _section("CellData", {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()})
+    yield from _section("CellData", cell_data)
     yield TAIL
+
+
+def _empty_polygon() -> dict[str, np.ndarray]:
+    """Cell arrays of one polygon without corners."""
+    return {
+        "connectivity": np.zeros(0, np.int64),
+        "offsets": np.zeros(1, np.int64),
+        "types": np.full(1, POLYGON, np.uint8),
+    }
 
 
 def _section(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:

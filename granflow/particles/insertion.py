@@ -73,7 +73,7 @@ class Inserter:
         for array in (self.radius, self.mass, self.due_at):
             array.setflags(write=False)
         gathered = math.ceil(group.count / MAX_BATCHES)
-        self.region = _insertion_region(
+        self.region = insertion_region(
             insertion, self.radius.max(), np.array(group.velocity, float), gathered * self.interval
         )
         check_width(self.region, self.radius.max())
@@ -196,7 +196,7 @@ def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.n
     return (np.cumsum(mass) - mass) / insertion.mass_flow
 
 
-def _insertion_region(
+def insertion_region(
     insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
 ) -> RegionSampler:
     """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.

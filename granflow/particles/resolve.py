@@ -40,8 +40,7 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     problems: list[str] = []
     for name in scene.particles:
         try:
-            groups[name], remarks_of_group = _resolved_group(scene, name, read)
-            remarks += remarks_of_group
+            groups[name] = _resolved_group(scene, name, read)
         except SceneError as error:
             problems += error.problems
     problems += [] if problems or not read else unassigned_rows(scene)
@@ -52,13 +51,13 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     return resolved_scene
 
 
-def _resolved_group(scene: SceneInput, name: str, read: bool) -> tuple[Group, list[str]]:
-    """One group with its count, and remarks for the user. Raises SceneError."""
+def _resolved_group(scene: SceneInput, name: str, read: bool) -> Group:
+    """One group with its count. Raises SceneError."""
     group, insertion = scene.particles[name], scene.particles[name].insert
     if not isinstance(insertion, FileInsertion):
-        return _with_count(scene, name), []
+        return _with_count(scene, name)
     if insertion.found is not None and not (read and (scene.folder / insertion.file).exists()):
-        return group, []
+        return group
     return _with_rows(scene, name, insertion)
 
 
@@ -173,14 +172,14 @@ def _count_of_mass(scene: SceneInput, name: str, mass: float) -> int:
     return count_for_volume(group.sizes, 6.0 / pi * mass / density, lambda: random_for(scene, name))
 
 
-def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
-    """A group from a file with the summary of the file, and remarks. Raises SceneError for an inconsistent group."""
+def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> Group:
+    """A group from a file with the summary of the file. Raises SceneError for an inconsistent group."""
     group = scene.particles[name]
     rows = rows_of(scene, name)
     problems = [*_inconsistencies(scene, name, rows)]
     if problems:
         raise SceneError(problems)
-    overlap, remarks = _overlap(scene, name, rows)
+    overlap, overlap_rows = _overlap(scene, name, rows)
     speed, angular_velocity = (
         0.0 if vectors is None else float(np.linalg.norm(vectors, axis=1).max())
         for vectors in (rows.velocity, rows.angular_velocity)
@@ -188,10 +187,10 @@ def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> tuple[
     diameters = 2.0 * float(rows.radius.min()), 2.0 * float(rows.radius.max())
     summary = FileSummary(
         count=len(rows), diameter_min=diameters[0], diameter_max=diameters[1], speed_max=speed,
-        angular_velocity_max=angular_velocity, overlap_max=overlap,
+        angular_velocity_max=angular_velocity, overlap_max=overlap, overlap_rows=overlap_rows,
     )  # fmt: skip
     read_insertion = insertion.model_copy(update={"found": summary})
-    return group.model_copy(update={"count_given": len(rows), "insert": read_insertion}), remarks
+    return group.model_copy(update={"count_given": len(rows), "insert": read_insertion})
 
 
 def _inconsistencies(scene: SceneInput, name: str, rows: ParticleTable) -> Iterator[str]:
@@ -211,25 +210,20 @@ def _inconsistencies(scene: SceneInput, name: str, rows: ParticleTable) -> Itera
         yield f"{rows.path}:{first}: this particle{others} outside the domain."
 
 
-def _overlap(scene: SceneInput, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
-    """Largest overlap over the smaller radius, and remarks; 0 for fixed particles.
+def _overlap(scene: SceneInput, name: str, rows: ParticleTable) -> tuple[float, str]:
+    """Largest overlap over the smaller radius and the rows of that pair; 0 and no rows for fixed particles.
 
     (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
     """
     if scene.particles[name].fixed:
-        return 0.0, []
+        return 0.0, ""
     first, second = near_pairs(rows.position, rows.radius, 0.0)
     if not len(first):
-        return 0.0, []
+        return 0.0, ""
     distance = np.linalg.norm(rows.position[first] - rows.position[second], axis=1)
     relative_overlap = (rows.radius[first] + rows.radius[second] - distance) / np.minimum(
         rows.radius[first], rows.radius[second]
     )
     worst = int(relative_overlap.argmax())
     kind = "points" if rows.path.suffix.lower() == ".vtu" else "lines"
-    lines = f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
-    pairs = f"{len(first)} pairs overlap" if len(first) > 1 else "one pair overlaps"
-    return float(relative_overlap[worst]), [
-        f"particles.{name}: {pairs} in {rows.path}, by up to {relative_overlap[worst]:.3g} of the smaller radius "
-        f"({lines})."
-    ]
+    return float(relative_overlap[worst]), f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"

@@ -13,8 +13,9 @@ from granflow.load import Scene
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import features_of, reasons_for
+from granflow.plan.forecast.build import forecasts_of
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
-from granflow.plan.meshes import notes_on
+from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import planned_outlets
 from granflow.plan.pair_cases import active_models, build_laws, pair_cases_of, pair_materials, pair_table, solid
@@ -26,7 +27,7 @@ from granflow.plan.size_classes import diameter_range, size_classes
 from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.travel import refuse_fast_images, refuse_fast_rotation, refuse_fast_start, refuse_fast_walls
 from granflow.plan.wall_control import controlled_motions_of
-from granflow.plan.walls import planned_walls, wall_speeds
+from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
@@ -76,6 +77,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     refuse_cut_walls(scene, walls, radius_max + skin)
     refuse_infinite_rotations(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
+    controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
         **_as_given(scene),
         features=features,
@@ -93,20 +95,22 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         step=step,
         impact_velocity=impact_velocity,
         walls=walls,
-        mesh_notes=tuple(
-            note
-            for wall in walls
-            if isinstance(wall.shape, Mesh)
-            for note in notes_on(scene, wall.name, wall.shape, 2.0 * radius_min)
-        ),
+        mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
         wall_speed=speed,
-        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
+        controlled_motions=controlled_motions,
+        forecasts=tuple(forecasts_of(scene, laws, impact_velocity, walls, controlled_motions)),
         adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, image_speed(scene)))
         if features.adaptive_step
         else None,
     )
     _refuse_fast(scene, plan, speeds)
     return plan
+
+
+def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
+    """Notes on all mesh walls; `smallest`: diameter [m] of the smallest particle."""
+    meshes = [(wall.name, wall.shape) for wall in walls if isinstance(wall.shape, Mesh)]
+    return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
 
 
 def _as_given(scene: Scene) -> dict[str, Any]:

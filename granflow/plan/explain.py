@@ -43,6 +43,7 @@ def explain(plan: Plan) -> str:
         "Particles": _particle_rows(plan),
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
         "Meshes": _mesh_rows(plan),
+        "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
         "Run": _run_rows(plan),
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
@@ -126,6 +127,15 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
             else ExplainRow("", "WARNING" if note.warning else "", note.sentence)
         )
         last = note.wall
+
+
+def _forecast_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the forecasts: overlaps over the smaller radius, and warnings."""
+    for forecast in plan.forecasts:
+        if forecast.name:
+            yield ExplainRow(forecast.name, forecast.value, forecast.remark)
+        if forecast.warning is not None:
+            yield ExplainRow("WARNING", "", forecast.warning)
 
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:

@@ -30,6 +30,7 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.features import Features, Reason
+from granflow.plan.forecast.overlaps import Forecast
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.meshes import MeshNote
 from granflow.plan.outlets import PlannedOutlet
@@ -113,6 +114,8 @@ class Plan:
     outlets: tuple[PlannedOutlet, ...]
     adaptive_time_step: AdaptiveTimeStep | None
     """Time steps by impact velocity if the time step is adaptive."""
+    forecasts: tuple[Forecast, ...]
+    """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
 
     @property
     def time_step(self) -> float:
@@ -261,9 +264,10 @@ class Plan:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls."""
+        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls, forecasts."""
         meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
-        return self.remarks + self.step.warnings + meshes
+        forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
+        return self.remarks + self.step.warnings + meshes + forecasts
 
     @cached_property
     def domain_low(self) -> np.ndarray:

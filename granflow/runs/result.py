@@ -41,6 +41,8 @@ class Result:
     metrics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     insertion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[ExpectationResult, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """All warnings of the run, each once."""
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
@@ -64,7 +66,8 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, and expect, a list of sentences.
+    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, expect and warnings, both lists of
+    sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
@@ -76,6 +79,7 @@ def write_result(directory: Path, result: Result) -> Path:
         "metrics": {name: _finite(readings) for name, readings in result.metrics.items()},
         "insertion": {name: _finite(readings) for name, readings in result.insertion.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
+        "warnings": list(result.warnings),
     }
     path = Path(directory) / "result.json"
     write_text(path, json.dumps(sections, indent=2) + "\n")

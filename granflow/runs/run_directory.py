@@ -4,6 +4,7 @@ import logging
 import time as clock
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from granflow.io.atomic_files import remove_parts
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import locked
-from granflow.io.log import run_log, write_scene_as_run
+from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_writer import CheckpointWriter
@@ -38,6 +39,7 @@ class RunDirectory:
         self._checkpoints = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
+        self._warnings: list[str] = []
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
 
@@ -54,6 +56,7 @@ class RunDirectory:
         The end of the block waits for the frames.
         """
         with ExitStack() as stack:
+            self._warnings = stack.enter_context(collected_warnings())
             if self.path is not None:
                 stack.enter_context(locked(self.path))
                 if self._resumed is None:
@@ -118,11 +121,13 @@ class RunDirectory:
                 raise
             logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
 
-    def write(self, result: Result) -> None:
-        """Write the result of the run, after all frames."""
+    def write(self, result: Result) -> Result:
+        """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
         self.writer.wait()
+        result = replace(result, warnings=tuple(dict.fromkeys(self._warnings)))
         if self.path is not None:
             write_result(self.path, result)
+        return result
 
     def note_on_state(self, written: bool) -> str:
         """Return a sentence for an aborted run: whether its state is `written`; empty without a path.

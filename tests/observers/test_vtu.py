@@ -1,6 +1,5 @@
 """Frames contain the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
 
-import base64
 import errno
 import xml.etree.ElementTree as ElementTree
 from io import FileIO
@@ -14,6 +13,7 @@ from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.io import vtu_writer
 from granflow.io.frames import TAIL, FrameSeries
 from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_reader import read_vtu
 from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
 
 SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
@@ -196,13 +196,11 @@ def test_a_full_disk_leaves_a_valid_pvd_file(tmp_path, monkeypatch, free_bytes):
     ],
     ids=["particles", "contacts", "no contacts", "walls"],
 )
-def test_empty_frame_is_a_valid_file_without_points_and_cells(tmp_path, make, snapshot):
-    # meshio cannot read a VTU file without cells, not even its output; test_pictures.py opens one in VTK.
+def test_empty_frame_is_a_valid_file_without_points(tmp_path, make, snapshot):
+    """meshio cannot read a VTU file without cells: the file has a polygon without corners, which granflow ignores."""
     make(tmp_path).observe(snapshot)
     (path,) = tmp_path.glob("*.vtu")
-    piece = next(ElementTree.parse(path).getroot().iter("Piece"))
-    assert (piece.get("NumberOfPoints"), piece.get("NumberOfCells")) == ("0", "0")
-    assert {array.get("Name") for array in piece.find("Cells")} == {"connectivity", "offsets", "types"}
-    (header,) = {array.text.strip() for array in piece.iter("DataArray")}
-    block_count, _, last_size = np.frombuffer(base64.b64decode(header), "<u4")
-    assert block_count == last_size == 0
+    mesh = meshio.read(path)
+    assert len(mesh.points) == 0 and sum(block.data.size for block in mesh.cells) == 0
+    read = read_vtu(path, 2**20)
+    assert len(read.points) == 0 and not read.cells and not read.cell_data

@@ -98,9 +98,7 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     group = scene.particles["beads"]
     assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (3, 0.002, 0.004)
     assert group.insert.found.overlap_max == pytest.approx(0.25)
-    assert [sentence.replace(f"{tmp_path}/", "") for sentence in scene.remarks] == [
-        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (lines 2 and 3)."
-    ]
+    assert group.insert.found.overlap_rows == "lines 2 and 3"
     assert max_impact_velocity(scene).value == pytest.approx(10.0)
     assert plan_for(scene).radius_min == 0.001
     particles = initial_particles(scene)

@@ -23,7 +23,7 @@ class ContactStatistics:
         self._measure = _build_measure(state)
 
     def measure(self, pose: int) -> dict[str, float]:
-        """Statistics of all contacts by the names of STATISTICS; fills `coordination_number`.
+        """Statistics of all contacts by the names of STATISTICS; fills both contact counts.
 
         pose:  index of the wall poses at the present time, see `Stepper.place_walls`
         """
@@ -45,9 +45,9 @@ def _build_measure(state: State) -> Callable[..., None]:
     A pair in two lists counts half in each.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, statistics
+    Writes:  coordination_number, wall_contact_count, statistics
     """
-    particles, neighbors = state.particles, state.neighbors
+    particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
     real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
     any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
     pair_constants, stride = build_pair_constants(state), state.stride
@@ -59,6 +59,8 @@ def _build_measure(state: State) -> Callable[..., None]:
     def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, statistics: external):
         for i in range(count):
             particles.coordination_number[i] = 0
+            if ti.static(has_walls):
+                particles.wall_contact_count[i] = 0
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
@@ -80,9 +82,12 @@ def _build_measure(state: State) -> Callable[..., None]:
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
                             found[ELASTIC] += share * elastic
                             found[PLASTIC] += share * plastic
-                            particles.coordination_number[i] += 1
-                            if share == 1.0 and j >= 0:
-                                particles.coordination_number[j] += 1
+                            if j >= 0:
+                                particles.coordination_number[i] += 1
+                                if share == 1.0:
+                                    particles.coordination_number[j] += 1
+                            elif ti.static(has_walls):
+                                particles.wall_contact_count[i] += 1
                 for c in ti.static(range(size)):
                     statistics[chunk, c] = found[c]
 
