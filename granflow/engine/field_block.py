@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
 from granflow.engine.backend import Backend
@@ -74,6 +75,14 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
         return None
     dtype = backend.types[array.dtype]
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
+
+
+def components(field: Any) -> list[Any]:
+    """Scalar fields of the components of a field, row by row."""
+    if not hasattr(field, "n"):
+        return [field]
+    indices = np.ndindex(field.n, field.m)
+    return [field.get_scalar_field(i, j) if field.m > 1 else field.get_scalar_field(i) for i, j in indices]
 
 
 class Fields:

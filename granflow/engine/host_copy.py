@@ -10,6 +10,7 @@ import numpy as np
 import taichi as ti
 from taichi.lang.util import to_numpy_type
 
+from granflow.engine.field_block import components
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
@@ -30,7 +31,7 @@ class FieldTable:
         for name, field in self.fields.items():
             is_integer = field.dtype == ti.i32
             first = len(by_type[is_integer])
-            by_type[is_integer] += _components(field)
+            by_type[is_integer] += components(field)
             self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
         real = np.result_type(np.float32, *(to_numpy_type(component.dtype) for component in by_type[False]))
         self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
@@ -60,11 +61,6 @@ class FieldTable:
     def _tables(self, count: int) -> dict[bool, np.ndarray]:
         """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
         return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
-
-
-def _components(field: Any) -> list[Any]:
-    """Scalar fields of the components."""
-    return [field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field]
 
 
 def _build_take_and_put(
