@@ -1,22 +1,13 @@
-"""Interfaces of the contact models of the four slots: normal, tangential, rolling and cohesion.
+"""Interface of all contact models, and of the normal and cohesion models.
 
 A law is an immutable object with the options of one scene. Its device functions (`ti.func`) take and return values
 only; `constants`, `contact` and `history` are structs:
 
-    constants  `constant_names` of the law, for the pair of materials
+    constants  `constant_names` of the law, for the pair of materials, and `parameters` of the law
     history    `history` of the law: numbers, or 3-vectors, kept from first touch to separation
     contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during approach
 
-A tangential or rolling law also reads, for the first particle of the pair:
-
-    normal, normal_half  unit normal toward the first particle now, and the mean of the previous and the present normal
-    normal_load          force [N] that presses the surfaces together: normal force without attraction
-    stiffness            no-slip tangential stiffness [N/m]
-    stiffness_ratio      ratio of the previous to the present stiffness
-    slip                 relative tangential displacement in this step [m]; tangential laws
-    rolling_rate         relative angular velocity [rad/s]; rolling laws
-    inertia_eff          effective moment of inertia [kg m2]; rolling laws
-    longest_time_step    longest time step of the run [s]; rolling laws
+Tangential and rolling laws read more, see `surface_law`.
 """
 
 from collections.abc import Mapping
@@ -69,7 +60,10 @@ class HistoryField:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Arguments of a reference implementation for one contact and step, in SI units; members as in the structs."""
+    """Arguments of a reference implementation for one contact and step, in SI units; members as in the structs.
+
+    constants:  pair constants by name; a reference implementation reads the parameters of the law in the law itself
+    """
 
     constants: SimpleNamespace
     radius_eff: float
@@ -113,9 +107,20 @@ class Law(DeviceObject):
         """Number of history components per contact; 0 for a model without history."""
         return sum(each.size for each in self.history)
 
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
+
+        The names depend on the features of the model only, so that laws that differ in numbers share compiled kernels.
+        """
+        return {}
+
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names` for a pair of materials; ValueError for a pair that the model does not support."""
-        return ()
+        """Values of `constant_names` for a pair of materials; by default the pair options of the same names.
+
+        Raises ValueError for a pair that the model does not support.
+        """
+        return tuple(pair.options[name] for name in self.constant_names)
 
 
 @dataclass(frozen=True)
@@ -261,42 +266,6 @@ class NormalLaw(Law):
     ) -> float:
         """Smallest restitution that a collision can reach at a time step [s]."""
         return 0.0
-
-
-@dataclass(frozen=True)
-class TangentialLaw(Law):
-    """A tangential contact model."""
-
-    @ti.func
-    def force(self, constants, contact, history):
-        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
-    @ti.func
-    def present_force(self, constants, contact, history):
-        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
-
-    @ti.func
-    def limit(self, constants, contact):
-        """Largest tangential force [N]."""
-
-
-@dataclass(frozen=True)
-class RollingLaw(Law):
-    """A rolling model. Torques act on the first particle of a pair, the opposite torques on the second."""
-
-    @ti.func
-    def torque(self, constants, contact, history):
-        """Rolling torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
 
 
 @dataclass(frozen=True)

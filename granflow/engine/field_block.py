@@ -5,9 +5,9 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.backend import Backend
+from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
 
 

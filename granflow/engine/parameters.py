@@ -3,11 +3,10 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
-from taichi.lang.util import to_numpy_type
 
 from granflow.engine.backend import Backend
 from granflow.engine.field_block import FieldBlock
+from granflow.kernel_language import ti
 from granflow.plan.capacities import Capacities
 from granflow.plan.parameters import parameters_of
 from granflow.plan.plan import Plan
@@ -27,7 +26,10 @@ class Parameters:
 
     def write(self, plan: Plan, capacities: Capacities) -> None:
         """Write all parameters of a plan with equal features and capacities."""
-        values = {dtype: np.zeros(field.shape[0], to_numpy_type(field.dtype)) for dtype, field in self._fields.items()}
+        values = {
+            dtype: np.zeros(field.shape[0], ti.lang.util.to_numpy_type(field.dtype))
+            for dtype, field in self._fields.items()
+        }
         for parameter in parameters_of(plan, capacities):
             dtype, first, end = self._places[parameter.name]
             values[dtype][first:end] = parameter.values

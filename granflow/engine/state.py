@@ -5,8 +5,6 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
-import taichi as ti
-from taichi.lang.util import to_numpy_type
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
@@ -18,6 +16,7 @@ from granflow.engine.wall_fields import WallDynamicsFields, Walls
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
@@ -136,6 +135,7 @@ class Control(Fields):
     list_length_needed:         largest number of entries of a chunk, increased by TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
+    law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk [J]
     impulses:                   time integrals of the wall forces of each chunk
     boundary_work:              work at periodic boundaries of each chunk [J]
@@ -154,6 +154,7 @@ class Control(Fields):
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
+        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
@@ -161,10 +162,13 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
+        dtype = ti.lang.util.to_numpy_type(self.pair_constants.dtype)
         rows, columns = plan.pair_constants.shape
-        padded = np.zeros((self.pair_constants.shape[0], columns), to_numpy_type(self.pair_constants.dtype))
+        padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
         padded[:rows] = plan.pair_constants
         self.pair_constants.from_numpy(padded)
+        if plan.law_parameters:
+            self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
         self.abort_particle[0] = NO_PARTICLE
 
 

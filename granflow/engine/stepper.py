@@ -9,14 +9,13 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import taichi as ti
-
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 
 GPU_BATCH = 16

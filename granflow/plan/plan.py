@@ -158,6 +158,11 @@ class Plan:
         return self.laws.normal
 
     @property
+    def law_parameters(self) -> tuple[float, ...]:
+        """Parameters of the contact laws, in the order of `laws.parameters`."""
+        return tuple(value for own in self.laws.parameters.values() for value in own.values())
+
+    @property
     def has_walls(self) -> bool:
         """True if the scene has walls."""
         return self.features.walls

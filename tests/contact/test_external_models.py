@@ -14,12 +14,13 @@ from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
 from granflow.contact.device import ti
-from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, RollingLaw
+from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.options import Amount, PairOption
+from granflow.contact.surface_law import RollingLaw
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.jsonschema import json_schema
@@ -43,22 +44,23 @@ class Sticky(CohesionLaw):
         return cls(request.options["saturation"])
 
     @property
+    def parameters(self):
+        return {"saturation": self.saturation}
+
+    @property
     def history(self):
         return (HistoryField("largest", "largest overlap", "m", in_output=True),)
-
-    def pair_constants(self, pair):
-        return (pair.options["attraction"],)
 
     @ti.func
     def force(self, constants, contact, history):
         history_new = history
         history_new.largest = ti.max(history.largest, contact.overlap)
-        return constants.attraction * contact.overlap / (contact.overlap + self.saturation), history_new
+        return constants.attraction * contact.overlap / (contact.overlap + constants.saturation), history_new
 
     @ti.func
     def stored_energy(self, constants, contact, history):
         return -constants.attraction * (
-            contact.overlap - self.saturation * ti.log(1.0 + contact.overlap / self.saturation)
+            contact.overlap - constants.saturation * ti.log(1.0 + contact.overlap / constants.saturation)
         )
 
     def reference(self, contact):
@@ -81,9 +83,6 @@ class Viscous(RollingLaw):
             HistoryField("torque", "torque of the previous step", "N m", size=3, in_output=True),
             HistoryField("duration", "duration of the contact", "s", in_output=True),
         )
-
-    def pair_constants(self, pair):
-        return (pair.options["rolling_viscosity"],)
 
     @ti.func
     def torque(self, constants, contact, history):

@@ -8,13 +8,17 @@ of the particle and its neighbors: no rotation reverses, and rotation relative t
 of simultaneous contacts.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from granflow.contact.device import ti
-from granflow.contact.law import HistoryField, ModelRequest, RollingLaw
-from granflow.contact.material import PairMaterial
+from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
+from granflow.contact.surface_law import RollingLaw, SurfaceState
 
 STOPPED_SHARE = 0.125
 """Largest fraction of the relative rolling rate that one contact removes in one step."""
@@ -77,10 +81,6 @@ class Cdt(RollingLaw):
         """Torque of the previous step, with the energy budget."""
         return (HistoryField("torque", "rolling torque", "N m", size=3),) if self.energy_budget else ()
 
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Coefficient of rolling friction."""
-        return (pair.options["rolling_friction"],)
-
     @ti.func
     def torque(self, constants, contact, history):
         """Torque [N m] against the tangential rolling rate."""
@@ -97,6 +97,15 @@ class Cdt(RollingLaw):
             energy_lost = torque_loss(history.torque, torque, rate, contact.time_step)
             history_new.torque = torque
         return torque, history_new, energy_lost
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque` in numpy."""
+        rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
+        speed = float(np.linalg.norm(rate))
+        largest = contact.constants.rolling_friction * contact.radius_eff * contact.normal_load
+        stopping = STOPPED_SHARE * contact.inertia_eff * speed / contact.longest_time_step
+        torque = -min(largest, stopping) * rate / speed if speed > 0.0 else np.zeros(3)
+        return torque, {"torque": torque} if self.energy_budget else {}
 
 
 MODEL = ContactModel(Cdt, "constant directional torque", pair_options=(ROLLING_FRICTION,))

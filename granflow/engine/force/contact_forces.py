@@ -6,18 +6,15 @@ the whole contact model and is not needed within a chunk.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
     build_boundary_work,
     build_effective,
+    build_pair_constants,
     build_pair_kinematics,
-    build_pair_number,
     build_weight,
 )
 from granflow.engine.force.simd_pair_force import build_batched_forces
-from granflow.engine.force.structs import build_constants
 from granflow.engine.force.wall_forces import build_add_impulse
 from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import (
@@ -35,6 +32,7 @@ from granflow.engine.neighbor.mesh_contact_history import (
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING, WALL_WORK
 
 
@@ -48,13 +46,13 @@ def build_contact(state: State, with_wall: bool) -> Any:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
     Writes:  history, in_contact, losses, boundary_work, impulses, wall_force, abort, abort_particle
     """
-    control, transfers = state.control, with_wall and transfers_history(state)
+    transfers = with_wall and transfers_history(state)
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    constants_of, pair_number = build_constants(state.plan.laws), build_pair_number(state)
     angular_velocities_of, check_overlap = (
         _build_angular_velocities(state, with_wall),
         _build_check_overlap(state, with_wall),
     )
+    pair_constants = build_pair_constants(state)
     release_history, acquire_history = (
         (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
@@ -67,7 +65,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     def contact(chunk, i, list_index, j, pose, dt):
         force, torque = 0.0 * state.particles.velocity[i], 0.0 * state.particles.velocity[i]
         kinematics, bodies = pair_kinematics(i, j, pose, dt), effective(i, j)
-        constants = constants_of(control.pair_constants[pair_number(i, j)])
+        constants = pair_constants(i, j)
         if kinematics.overlap > 0.0:
             check_overlap(i, j, kinematics.overlap)
             if ti.static(transfers):

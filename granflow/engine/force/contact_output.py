@@ -4,16 +4,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
+from granflow.kernel_language import ti
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit above which a contact counts as sliding."""
@@ -120,8 +119,8 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
     Writes:  numbers, force, contact_point of `output`
     """
     particles, neighbors, real = state.particles, state.neighbors, state.backend.real
-    any_kinematics, pair_number = build_any_kinematics(state), build_pair_number(state)
-    constants_of, read_history = build_constants(state.plan.laws), build_read_history(state)
+    any_kinematics, read_history = build_any_kinematics(state), build_read_history(state)
+    pair_constants = build_pair_constants(state)
     normal_force_of, surface_forces = build_normal_force(state.plan.laws, False), _build_surface_forces(state)
     numbers, contact_point_of = output.numbers, _build_contact_point(state)
 
@@ -133,7 +132,7 @@ def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
                 normal, contact = any_kinematics(i, j, 0, dt)
                 numbers[list_index][OVERLAP] = contact.overlap
                 if contact.overlap > 0.0:
-                    constants = constants_of(state.control.pair_constants[pair_number(i, j)])
+                    constants = pair_constants(i, j)
                     history = read_history(list_index)
                     normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
                     tangential, size, limit = surface_forces(constants, contact, load, history, particles.velocity[i])

@@ -3,13 +3,11 @@
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.field_block import FieldBlock
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number, build_weight
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
 """Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""
@@ -46,10 +44,10 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  coordination_number, statistics
     """
-    particles, neighbors, control = state.particles, state.neighbors, state.control
+    particles, neighbors = state.particles, state.neighbors
     real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
-    any_kinematics, weight, pair_number = build_any_kinematics(state), build_weight(state), build_pair_number(state)
-    energies, constants_of, stride = build_energies(state), build_constants(state.plan.laws), state.stride
+    any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
+    pair_constants, stride = build_pair_constants(state), state.stride
 
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
@@ -69,7 +67,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
-                            constants = constants_of(control.pair_constants[pair_number(i, j)])
+                            constants = pair_constants(i, j)
                             elastic, plastic = energies(list_index, constants, contact)
                             found[COUNT] += share
                             found[OVERLAP_SUM] += share * relative

@@ -3,15 +3,14 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_sphere_kinematics
-from granflow.engine.force.pair_kinematics import build_effective, build_pair_number
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
+from granflow.kernel_language import ti
 
 
 class MaxImpactVelocity:
@@ -63,8 +62,7 @@ def _build_square(state: State) -> Any:
 
     For a pair without overlap v is the approach velocity, 0 if the pair separates.
     """
-    control, constants_of = state.control, build_constants(state.plan.laws)
-    overlap_and_rate, pair_number = _build_overlap_and_rate(state), build_pair_number(state)
+    overlap_and_rate, pair_constants = _build_overlap_and_rate(state), build_pair_constants(state)
     effective, wall_effective = build_effective(state, False), build_effective(state, True)
 
     @ti.func
@@ -75,7 +73,7 @@ def _build_square(state: State) -> Any:
             bodies = wall_effective(i, j)
             if j >= 0:
                 bodies = effective(i, j)
-            constants = constants_of(control.pair_constants[pair_number(i, j)])
+            constants = pair_constants(i, j)
             k = 4.0 / 3.0 * constants.normal.modulus_eff * ti.sqrt(bodies.radius_eff)
             found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / bodies.mass_eff
         return found

@@ -6,9 +6,8 @@ exchanged, each result is bit-identical or has exactly the opposite sign.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.contact.laws import ContactLaws
+from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
@@ -103,7 +102,7 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 
 
 def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.law`.
+    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.surface_law`.
 
     Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
     """

@@ -2,13 +2,13 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
+from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
@@ -207,3 +207,18 @@ def build_pair_number(state: State) -> Any:
         return number
 
     return pair_number
+
+
+def build_pair_constants(state: State) -> Any:
+    """Device function (i, j) -> struct of the constants of the contact laws for particle i and partner j.
+
+    Reads:  pair_constants, law_parameters, material of particles and walls
+    """
+    control, constants_of = state.control, build_constants(state.plan.laws)
+    pair_number = build_pair_number(state)
+
+    @ti.func
+    def pair_constants(i, j):
+        return constants_of(control.pair_constants[pair_number(i, j)], control.law_parameters[0])
+
+    return pair_constants

@@ -7,15 +7,19 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_force import (
     build_in_contact,
     build_pair_force,
     build_sphere_kinematics,
     effective_value,
 )
-from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number, build_weight
+from granflow.engine.force.pair_kinematics import (
+    build_boundary_work,
+    build_effective,
+    build_pair_constants,
+    build_pair_number,
+    build_weight,
+)
 from granflow.engine.force.structs import (
     build_constants,
     build_read_slots,
@@ -28,6 +32,7 @@ from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import BATCH, LANES, State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
 
 
@@ -75,23 +80,16 @@ def _build_collect(state: State) -> Any:
     Reads:   position, radius, neighbor lists, in_contact
     Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort
     """
-    plan, particles, neighbors, control, batch = (
-        state.plan,
-        state.particles,
-        state.neighbors,
-        state.control,
-        state.batch,
-    )
+    particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
     real, has_history = state.backend.real, bool(neighbors.history)
-    in_contact, end_contact, pair_number = build_in_contact(real), build_end_contact(state), build_pair_number(state)
+    in_contact, end_contact = build_in_contact(real), build_end_contact(state)
     effective, minimum_image = build_effective(state, False), build_minimum_image(state)
-    constants_of, add_plastic_loss = build_constants(plan.laws), build_add_plastic_loss(state)
+    pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
     max_overlap = state.parameter("max_overlap")
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
-        constants = constants_of(control.pair_constants[pair_number(i, j)])
-        energy_lost = end_contact(list_index, constants, effective(i, j), dt)
+        energy_lost = end_contact(list_index, pair_constants(i, j), effective(i, j), dt)
         add_plastic_loss(chunk, j, energy_lost)
 
     @ti.func
@@ -183,10 +181,10 @@ def _build_prepare(state: State) -> Any:
 
     Evaluates the branches of the normal model.
 
-    Reads:  branch vector of the batch, radius, mass, pair_constants
+    Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
     """
     plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
-    constants_of, pair_number = build_constants(plan.laws), build_pair_number(state)
+    pair_constants = build_pair_constants(state)
     history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
     contact_mass = build_contact_mass(state)
 
@@ -204,8 +202,7 @@ def _build_prepare(state: State) -> Any:
             overlap=radius + radius_partner - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )
-        constants = constants_of(state.control.pair_constants[pair_number(i, j)])
-        return vector_of(law.prepare(constants.normal, contact, history_of(vector)))
+        return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
 
     return prepare
 
@@ -257,7 +254,7 @@ def _build_evaluate(state: State) -> Any:
     The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones. It
     is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
 
-    Reads:   columns of the batch, pair_constants
+    Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
     """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
@@ -290,13 +287,14 @@ def _build_evaluate(state: State) -> Any:
 
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared, longest = control.pair_constants[0], longest_time_step()
+        shared, parameters = control.pair_constants[0], control.law_parameters[0]
+        longest = longest_time_step()
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
                 row = load_vector(batch.constants, worker, entry, constant_count)
             found = pair_force(
-                constants_of(row),
+                constants_of(row, parameters),
                 load_bodies(worker, entry),
                 kinematics_of(worker, entry, dt),
                 load_angular_velocities(worker, entry),

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS
 
 
