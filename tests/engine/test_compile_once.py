@@ -2,18 +2,23 @@
 
 import os
 from hashlib import sha256
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
+from granflow.engine import kept_states
 from granflow.engine.kernel_cache import KERNELS
+from granflow.engine.state import FreedState
+from granflow.errors import GranflowError
 from granflow.simulation import Simulation
 
 BASE = {
     "count": 60, "diameter": 0.004, "floor": 0.0, "friction": 0.4, "young_modulus": 1e8, "gravity": -9.81, "high": 0.05,
     "skin": "auto", "max_overlap": 0.3, "outlet": 0.0, "rate": 20.0, "mass": 0.1, "threads": 1,
+    "free": True,
 }  # fmt: skip
 
 CHANGES = {
@@ -48,16 +53,17 @@ def digest_of(case):
     simulation = Simulation(scene_of(case), threads=case["threads"])
     simulation.run()
     snapshot = simulation.snapshot(contacts=True)
-    simulation.free()
+    if case["free"]:
+        simulation.free()
     arrays = [*snapshot.particles.values(), *snapshot.contacts.values()]
     totals = repr(sorted(snapshot.totals.items())).encode()
     return sha256(totals + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
 def digests_with_cache(folder, cases):
-    """Digests of cases that run one after the other in this process with a separate kernel cache."""
+    """Digests of cases that run one after the other in this process, and the number of states that remain."""
     os.environ["GRANFLOW_CACHE"] = folder
-    return [digest_of(case) for case in cases]
+    return [digest_of(case) for case in cases], len(kept_states._kept)
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +82,19 @@ def test_changed_numbers_compile_no_kernel(cache, changed):
     assert set(cache.glob(KERNELS)) == before
 
 
-def test_run_after_other_runs_in_the_same_process_is_bit_identical(cache):
-    other = BASE | CHANGES | {"threads": 1}
-    (alone,) = in_subprocess(digests_with_cache, str(cache), [other])
-    before, after, again = in_subprocess(digests_with_cache, str(cache), [BASE, other, BASE])
+def test_runs_in_one_process_share_arrays_and_are_bit_identical(cache):
+    """Also if a simulation is not freed, but deleted."""
+    other = BASE | CHANGES | {"threads": 1, "free": False}
+    (alone,), _ = in_subprocess(digests_with_cache, str(cache), [other])
+    (before, after, again), state_count = in_subprocess(digests_with_cache, str(cache), [BASE, other, BASE])
     assert after == alone
     assert before == again != after
+    assert state_count == 1
+
+
+def test_freed_simulations_refuse_their_arrays():
+    host = SimpleNamespace(plan=None, backend=None, capacities=None, clock=None, count=3, wall_motions=())
+    freed = FreedState(host)
+    assert freed.count == 3
+    with pytest.raises(GranflowError, match="has been freed"):
+        freed.particles.position.to_numpy()
