@@ -1,7 +1,9 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
+import weakref
 from collections.abc import Sequence
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +18,11 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
+from granflow.engine.kept_states import return_state, take_state
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
-from granflow.engine.state import State
+from granflow.engine.state import FreedState, State
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import totals_of
 from granflow.fields import PARTICLE_QUANTITIES
@@ -43,7 +46,9 @@ class Engine:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
-        self.state = State(plan, backend)
+        self.state: State = take_state(plan, backend)
+        self._return_state = weakref.finalize(self, return_state, self.state)
+        self._return_state.atexit = False
         self.stepper = Stepper(self.state, self._on_deleted)
         self.timing = self.stepper.timing
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
@@ -261,8 +266,11 @@ class Engine:
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def free(self) -> None:
-        """Free the device memory."""
-        self.state.free()
+        """Give the device memory to later simulations of this process; this engine cannot continue."""
+        if self._return_state.alive:
+            freed: Any = FreedState(self.state)
+            self.state = self.stepper.state = freed
+            self._return_state()
 
     def _on_deleted(self, first: int, last: int) -> None:
         """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device order.

@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
+import numpy as np
+
 from granflow.engine.backend import Backend
 from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
@@ -73,6 +75,14 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
         return None
     dtype = backend.types[array.dtype]
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
+
+
+def components(field: Any) -> list[Any]:
+    """Scalar fields of the components of a field, row by row."""
+    if not hasattr(field, "n"):
+        return [field]
+    indices = np.ndindex(field.n, field.m)
+    return [field.get_scalar_field(i, j) if field.m > 1 else field.get_scalar_field(i) for i, j in indices]
 
 
 class Fields:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.field_block import components
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.kernel_language import ti
@@ -29,7 +30,7 @@ class FieldTable:
         for name, field in self.fields.items():
             is_integer = field.dtype == ti.i32
             first = len(by_type[is_integer])
-            by_type[is_integer] += _components(field)
+            by_type[is_integer] += components(field)
             self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
         real = np.result_type(
             np.float32, *(ti.lang.util.to_numpy_type(component.dtype) for component in by_type[False])
@@ -61,11 +62,6 @@ class FieldTable:
     def _tables(self, count: int) -> dict[bool, np.ndarray]:
         """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
         return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
-
-
-def _components(field: Any) -> list[Any]:
-    """Scalar fields of the components."""
-    return [field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field]
 
 
 def _build_take_and_put(

@@ -1,17 +1,19 @@
 """Device arrays. `plan.device_arrays` lists most of them; a field that the plan does not need is None."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
-from granflow.engine.field_block import FieldBlock, Fields
+from granflow.engine.field_block import FieldBlock, Fields, components
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
+from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
 from granflow.kernel_language import ti
@@ -160,8 +162,8 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
+        dtype = ti.lang.util.to_numpy_type(self.pair_constants.dtype)
         rows, columns = plan.pair_constants.shape
-        dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
         padded[:rows] = plan.pair_constants
         self.pair_constants.from_numpy(padded)
@@ -187,17 +189,36 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
-        self.clock = Clock(plan.time_step)
-        self.count = 0
-        self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self._built: dict[Any, Any] = {}
         self.capacities = plan.capacities
         self._allocate()
+        self._begin()
+
+    def reset(self, plan: Plan) -> None:
+        """Begin again with another plan of equal structure; the kernels are those that exist.
+
+        Raises nothing for another structure, see `plan.structure`; the caller compares.
+        """
+        self.plan, self.capacities = plan, replace(self.capacities, chunk_count=plan.chunk_capacity)
+        self.built(_build_clear)()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Write all constant data into arrays of zeros."""
+        plan = self.plan
+        self.clock = Clock(plan.time_step)
+        self.count = 0
+        self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self.parameters.write(plan, self.capacities)
         self.walls.fill(plan)
         if self.mesh is not None:
             fill_mesh(self.mesh, plan)
         self.control.fill(plan)
+
+    @property
+    def fields(self) -> list[Any]:
+        """All fields, without the columns of the batch."""
+        return self._block.fields
 
     def _allocate(self) -> None:
         plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock()
@@ -264,3 +285,34 @@ class State:
                 each.block.free()
         self._built.clear()
         self._block.free()
+
+
+class FreedState:
+    """What remains of the state of an engine that has been freed."""
+
+    def __init__(self, state: State) -> None:
+        self.plan, self.backend, self.capacities = state.plan, state.backend, state.capacities
+        self.clock, self.count, self.wall_motions = state.clock, state.count, state.wall_motions
+
+    def __getattr__(self, name: str) -> Any:
+        raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
+
+
+def _build_clear(state: State) -> Callable[[], None]:
+    """Kernel (): fill all fields with zeros.
+
+    Writes:  all fields of the state
+    """
+    by_shape: dict[tuple[int, ...], list[Any]] = {}
+    for field in state.fields:
+        by_shape.setdefault(field.shape, []).extend(components(field))
+    groups = list(by_shape.values())
+
+    @ti.kernel
+    def clear():
+        for group in ti.static(groups):
+            for index in ti.grouped(group[0]):
+                for component in ti.static(group):
+                    component[index] = 0
+
+    return clear

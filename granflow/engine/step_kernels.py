@@ -6,10 +6,18 @@ If a neighbor-list rebuild is due, all further phases of a launch do nothing.
 from collections.abc import Callable
 from typing import Any
 
+from granflow.engine.force.contact_forces import build_forces
+from granflow.engine.integrate import build_integrate
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.engine.wall_dynamics import build_move_walls
 from granflow.kernel_language import ti
+
+
+def build_steps(state: State) -> Callable[..., None]:
+    """The kernel of the time steps on the device of the state."""
+    build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
+    return build(state, build_integrate(state), build_forces(state))
 
 
 def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:

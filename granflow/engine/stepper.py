@@ -9,12 +9,10 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from granflow.engine.force.contact_forces import build_forces
-from granflow.engine.integrate import build_integrate
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
 from granflow.engine.state import BATCH, LANES, State
-from granflow.engine.step_kernels import build_cpu_steps, build_gpu_step
+from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
@@ -93,11 +91,10 @@ class Stepper:
         self._compile()
 
     def _compile(self) -> None:
-        """Compile all phases by launching them on empty ranges; repeated after a reallocation of the fields."""
+        """Compile all phases, unless the state has them, by launching them on empty ranges."""
         began, state = clock.perf_counter(), self.state
         self._rebuild.compile()
-        build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
-        self._step = build(state, build_integrate(state), build_forces(state))
+        self._step = state.built(build_steps)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 

@@ -101,7 +101,7 @@ class Capacities:
     walls: int
     measured_walls: int
     pairs: int
-    batch: int = MIN_BATCH
+    batch: int
 
     @property
     def saved_entries(self) -> int:
@@ -132,7 +132,7 @@ def rounded_capacity(needed: int, smallest: int) -> int:
     """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it."""
     capacity = smallest
     while capacity < needed:
-        capacity += capacity // 4
+        capacity += max(capacity // 4, 1)
     return capacity
 
 

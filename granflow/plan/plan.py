@@ -16,6 +16,7 @@ from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep
 from granflow.plan.capacities import (
     EXTRA_PER_PARTICLE,
+    MIN_BATCH,
     MIN_CELLS,
     MIN_CHUNKS,
     MIN_LIST_ENTRIES,
@@ -204,6 +205,7 @@ class Plan:
             walls=rounded_capacity(len(self.walls), MIN_WALLS),
             measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS) if self.measured_walls else 0,
             pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
+            batch=MIN_BATCH,
         )
 
     @property

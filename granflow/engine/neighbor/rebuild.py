@@ -13,8 +13,19 @@ from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.plan.capacities import list_capacity_for
 
 
+class RebuildKernels:
+    """The kernels of a rebuild; None if the plan does not need one."""
+
+    def __init__(self, state: State) -> None:
+        self.wrap = build_wrap(state) if state.plan.features.periodic != "none" else None
+        self.bounds, self.sort, self.reorder = build_bounds(state), build_sort(state), build_reorder(state)
+        self.sort_classes = build_class_lists(state) if state.cell_sort.class_order is not None else None
+        self.fill = build_neighbor_list(state)
+        self.save = build_save_history(state) if state.neighbors.history else None
+
+
 class NeighborListRebuild:
-    """The kernels of a rebuild, in order.
+    """A rebuild of the neighbor lists.
 
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
@@ -27,23 +38,18 @@ class NeighborListRebuild:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
 
     def compile(self) -> None:
-        """Compile the kernels by launching them on empty ranges."""
-        state = self._state
-        self._wrap = build_wrap(state) if state.plan.features.periodic != "none" else None
-        self._bounds, self._sort, self._reorder = build_bounds(state), build_sort(state), build_reorder(state)
-        self._sort_classes = build_class_lists(state) if state.cell_sort.class_order is not None else None
-        self._fill = build_neighbor_list(state)
-        self._save = build_save_history(state) if state.neighbors.history else None
-        self._bounds(0)
-        if self._wrap is not None:
-            self._wrap(0, 0, 0, 1.0)
-        self._sort(0, 0)
-        if self._sort_classes is not None:
-            self._sort_classes(0, 0)
-        self._reorder(0)
-        self._fill(0, 0, 0.0, 0)
-        if self._save is not None:
-            self._save(0, 0)
+        """Compile the kernels, unless the state has them, by launching them on empty ranges."""
+        self._kernels = kernels = self._state.built(RebuildKernels)
+        kernels.bounds(0)
+        if kernels.wrap is not None:
+            kernels.wrap(0, 0, 0, 1.0)
+        kernels.sort(0, 0)
+        if kernels.sort_classes is not None:
+            kernels.sort_classes(0, 0)
+        kernels.reorder(0)
+        kernels.fill(0, 0, 0.0, 0)
+        if kernels.save is not None:
+            kernels.save(0, 0)
 
     def run(self, pose: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
@@ -65,25 +71,25 @@ class NeighborListRebuild:
         Returns the number of particles to delete, which are behind the others.
         """
         state = self._state
-        if self._wrap is not None:
-            self._wrap(state.chunk_count, state.count, pose, state.clock.time_step)
-        self._bounds(state.count)
+        if self._kernels.wrap is not None:
+            self._kernels.wrap(state.chunk_count, state.count, pose, state.clock.time_step)
+        self._kernels.bounds(state.count)
         if state.plan.domain.on_exit == "expand":
             check_coordinates(state)
         grids = update_cell_grids(state)
-        self._sort(state.count, grids[0].cell_count)
+        self._kernels.sort(state.count, grids[0].cell_count)
         self._save_history()
-        self._reorder(state.count)
+        self._kernels.reorder(state.count)
         # Deleted particles are in the last cell, behind all others.
         present = int(state.cell_sort.cell_start[grids[0].cell_count])
-        if self._sort_classes is not None:
-            self._sort_classes(present, sum(grid.cell_count for grid in grids))
+        if self._kernels.sort_classes is not None:
+            self._kernels.sort_classes(present, sum(grid.cell_count for grid in grids))
         return state.count - present
 
     def _save_history(self) -> None:
         """Copy the contact histories to `saved`; increase the list capacity and repeat if they do not fit."""
-        while self._save is not None:
-            self._save(self._state.chunk_count, self._state.count)
+        while self._kernels.save is not None:
+            self._kernels.save(self._state.chunk_count, self._state.count)
             needed = int(self._state.control.list_length_needed[0])
             if needed <= self._state.capacities.saved_entries_per_chunk:
                 return
@@ -92,7 +98,7 @@ class NeighborListRebuild:
     def _fill_lists(self, pose: int) -> None:
         """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
         while True:
-            self._fill(self._state.chunk_count, self._state.count, self._state.plan.skin, pose)
+            self._kernels.fill(self._state.chunk_count, self._state.count, self._state.plan.skin, pose)
             needed = int(self._state.control.list_length_needed[0])
             if needed <= self._state.capacities.list_entries_per_chunk:
                 return
