@@ -9,6 +9,7 @@ from plan.scenes import TEXT
 from granflow.errors import SceneError
 from granflow.load import load, scene_of
 from granflow.particles.generate import initial_particles
+from granflow.particles.group import groups_of
 from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
 from granflow.plan.build import plan_for
@@ -76,11 +77,8 @@ def test_mass_is_exact_within_one_particle(tmp_path, sizes):
 
 def initial_radius(scene):
     """Radii [m] from the generator without positions, because the packing would be too dense."""
-    from granflow.particles.particle_data import random_for
-
-    return (
-        draw_diameters(scene.particles["beads"].sizes, scene.particles["beads"].count, random_for(scene, "beads")) / 2
-    )
+    beads = groups_of(scene)["beads"]
+    return draw_diameters(beads.spec.sizes, beads.spec.count, beads.random()) / 2
 
 
 def test_mass_with_too_many_particles_is_rejected(tmp_path):
