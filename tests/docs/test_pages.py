@@ -101,7 +101,13 @@ def test_scene_of_a_guide_has_no_problems(name, text, tmp_path, monkeypatch, cap
 
 
 def test_every_compared_code_has_a_converted_scene():
-    assert [name.split("_")[0] for name, _ in guide_scenes("other_codes")] == ["liggghts", "lammps", "yade", "mercury", "edem"]
+    assert [name.split("_")[0] for name, _ in guide_scenes("other_codes")] == [
+        "liggghts",
+        "lammps",
+        "yade",
+        "mercury",
+        "edem",
+    ]
 
 
 def test_guides_and_tutorials_are_in_the_navigation():
