@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from granflow.engine.abort_bodies import ContactPair
-from granflow.plan.forecast.advice import modulus_factor, modulus_text, required_moduli
+from granflow.plan.forecast.advice import modulus_factor, modulus_text, required_moduli, without_modulus
 from granflow.plan.forecast.contact import ContactForces, TouchingPair, attraction_share, impact_overlap, static_overlap
 from granflow.plan.forecast.overlaps import ENOUGH
 from granflow.plan.forecast.pressures import BedPressure
@@ -22,6 +22,9 @@ GROWTH = 1.25
 
 SUDDEN = 2.0
 """Largest force of a weight over its static force: the bed is still settling when the run stops."""
+
+TOLERANCE = 1.01
+"""Velocity over the planned one up to which an impact is as planned: it follows from the energy of a coarse step."""
 
 SPEED_MARGIN = 1.2
 """Factor from an observed velocity to the recommended `velocity_max`."""
@@ -50,7 +53,7 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float) -> str:
     largest = impact_overlap(plan.laws, touching, velocity)
     remedy = _moduli(touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest)
     cause = f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the radius"
-    if velocity <= plan.velocity_max:
+    if velocity <= TOLERANCE * plan.velocity_max:
         return f"{cause}: {remedy}."
     planned = f"set run.velocity_max to {SPEED_MARGIN * velocity:.3g} m/s for the time step"
     return (
@@ -97,7 +100,7 @@ def _moduli(touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair]
     """
     factor = modulus_factor(touching, overlap, plan.max_overlap)
     if factor is None:
-        first = "raise the stiffness of contact.normal"
+        first = without_modulus(touching, overlap)
     else:
         first = modulus_text(required_moduli(plan.solids, touching.materials, max(factor, 1.0)))
     needed = float(f"{ENOUGH * max(expected, plan.max_overlap) + 0.005:.2f}")

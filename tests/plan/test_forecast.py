@@ -36,12 +36,8 @@ def test_shipped_scenes_cause_no_warning(path):
 
 def rubber_ball(velocity=2.5, **parts):
     ball = particle_group([[0.0, 0.0, 0.1]], material="rubber")
-    parts = {
-        "run": {"duration": 0.1, "velocity_max": velocity},
-        "normal": "hertz",
-        "pair": {"restitution": 1.0},
-    } | parts
-    return build_scene({"ball": ball}, walls={"floor": FLOOR}, materials=RUBBER, **parts)
+    usual = {"run": {"duration": 0.1, "velocity_max": velocity}, "normal": "hertz", "materials": RUBBER}
+    return build_scene({"ball": ball}, walls={"floor": FLOOR}, **usual | {"pair": {"restitution": 1.0}} | parts)
 
 
 def test_overlap_of_an_impact_follows_from_its_energy():
@@ -84,6 +80,12 @@ def test_stiffness_given_as_a_number_is_named_instead_of_a_modulus():
     normal = {"law": "linear", "stiffness": {"value": 1e3}}
     (warning,) = warnings_of(rubber_ball(normal=normal))
     assert "overlaps by 0.379 of the radius" in warning and "Raise the stiffness of contact.normal" in warning
+
+
+def test_units_are_suspected_if_no_modulus_is_high_enough():
+    """A density of 1e30 kg/m3 requires 1e26 times the modulus."""
+    (warning,) = warnings_of(rubber_ball(materials={"rubber": RUBBER["rubber"] | {"density": 1e30}}))
+    assert "Check the units of densities" in warning
 
 
 def test_only_the_softer_material_of_a_pair_changes():

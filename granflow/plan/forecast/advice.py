@@ -35,6 +35,13 @@ def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float 
     return high
 
 
+def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
+    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is wrong."""
+    if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
+        return "raise the stiffness of contact.normal"
+    return "check the units of densities, sizes, velocities and forces, because no Young's modulus is high enough"
+
+
 def required_moduli(solids: Mapping[str, Solid], materials: tuple[str, str], factor: float) -> dict[str, float]:
     """Young's moduli [Pa] by material that raise the effective modulus of two materials by `factor`.
 

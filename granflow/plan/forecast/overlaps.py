@@ -1,6 +1,6 @@
 """Forecasts of the largest overlaps: in impacts, and at rest under the weight, walls and cohesion."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -8,7 +8,7 @@ from typing import Literal
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import Solid
 from granflow.load import Scene
-from granflow.plan.forecast.advice import Overlap, modulus_factor, modulus_text, required_moduli
+from granflow.plan.forecast.advice import Overlap, modulus_factor, modulus_text, required_moduli, without_modulus
 from granflow.plan.forecast.contact import TouchingPair, impact_overlap, static_overlap
 from granflow.plan.forecast.pressures import BedPressure
 from granflow.scene.schema.run import LARGEST_OVERLAP
@@ -39,11 +39,11 @@ class Forecast:
 
 @dataclass(frozen=True)
 class _Largest:
-    """The pair with the largest overlap of one cause, and the moduli [Pa] that all pairs of this cause require."""
+    """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause require."""
 
     pair: TouchingPair
     overlap: float
-    moduli: Mapping[str, float] | None
+    instruction: str
 
 
 def impact_forecast(
@@ -114,10 +114,7 @@ def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> 
 
 
 def _largest(scene: Scene, pairs: Iterable[TouchingPair], overlap: Overlap) -> _Largest | None:
-    """The pair with the largest overlap, and the moduli that reduce all overlaps to the limit; None without pairs.
-
-    `moduli` is None if a pair exceeds the limit at any modulus.
-    """
+    """The pair with the largest overlap, and the instruction that reduces all to the limit; None without pairs."""
     found = [(overlap(pair), pair) for pair in pairs]
     found = [each for each in found if each[0] == each[0]]  # NaN: a model without reference implementation
     if not found:
@@ -128,10 +125,10 @@ def _largest(scene: Scene, pairs: Iterable[TouchingPair], overlap: Overlap) -> _
         if size > limit:
             factor = modulus_factor(pair, overlap, limit)
             if factor is None:
-                return _Largest(worst[1], worst[0], None)
+                return _Largest(worst[1], worst[0], without_modulus(pair, overlap))
             for name, value in required_moduli(_solids(scene), pair.materials, factor).items():
                 moduli[name] = max(moduli.get(name, 0.0), value)
-    return _Largest(worst[1], worst[0], moduli)
+    return _Largest(worst[1], worst[0], modulus_text(moduli))
 
 
 def _solids(scene: Scene) -> dict[str, Solid]:
@@ -147,11 +144,9 @@ def _above(scene: Scene) -> str:
 
 def _remedy(largest: _Largest, capital: bool = True) -> str:
     """The remedies: moduli, or a higher limit if it is allowed."""
-    moduli = largest.moduli
-    first = "raise the stiffness of contact.normal" if moduli is None else modulus_text(moduli)
     needed = float(f"{ENOUGH * largest.overlap + 0.005:.2f}")
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
-    text = first + (accept if needed <= LARGEST_OVERLAP else "")
+    text = largest.instruction + (accept if needed <= LARGEST_OVERLAP else "")
     return text[0].upper() + text[1:] if capital else text
 
 
