@@ -10,10 +10,8 @@ from granflow.cli.messages import exit_code_of, print_error, say, show_table
 from granflow.cli.signals import deferred_to
 
 if TYPE_CHECKING:
-    from granflow.studies.run_processes.checked import CheckedRun
     from granflow.studies.run_processes.driver import Progress
     from granflow.studies.run_processes.executors import Workers
-    from granflow.studies.run_processes.outcome import Outcome
 
 BATCH_SYSTEMS = ("slurm", "pbs", "lsf", "sge")
 """Batch systems that can run the workers."""
@@ -52,9 +50,9 @@ def sweep(options: argparse.Namespace) -> int:
     return 0 if table.is_complete else 1
 
 
-def say_run(progress: "Progress", run: "CheckedRun", outcome: "Outcome") -> None:
-    """Print the progress after a run."""
-    say(f"{progress}; {run.directory.name} {outcome.status}", flush=True)
+def say_run(progress: "Progress", event: str) -> None:
+    """Print the progress, and the name and status of a run that has ended."""
+    say(f"{progress}{event and '; '}{event}", flush=True)
 
 
 def workers_of(options: argparse.Namespace) -> "Workers":

@@ -1,6 +1,8 @@
 """Calibration without runs: messages, targets, and the response of residuals with known parameters."""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,11 +10,12 @@ from studies.sweep_files import SCENE
 
 from granflow.errors import FileError, GranflowError
 from granflow.studies.calibration.response import fit_response, identification
-from granflow.studies.calibration.run import read_calibration
+from granflow.studies.calibration.run import read_calibration, run_calibration
 from granflow.studies.calibration.schema import Parameter, Target
 from granflow.studies.calibration.search import Search, deviation_in_units, from_unit, settings_of, to_unit
 from granflow.studies.calibration.targets import deviation, partial_loss, read_target, residuals
 from granflow.studies.calibration.trials import TrialRunner
+from granflow.studies.run_processes import process
 from granflow.studies.run_processes.checked import RunSettings
 
 CALIBRATION = """\
@@ -112,6 +115,43 @@ def test_scaled_parameters_include_both_bounds():
     assert [from_unit(parameter, share) for share in (0.0, 0.5, 1.0)] == pytest.approx([0.01, 0.1, 1.0])
     assert to_unit(parameter, 0.1) == pytest.approx(0.5)
     assert deviation_in_units(parameter, 0.1, 0.1) == pytest.approx(0.1 * np.log(100.0) * 0.1)
+
+
+def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
+    """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of bounds."""
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    text = CALIBRATION.replace("from: 0.3", "from: 0.45").replace(
+        "value: 1 mJ, tolerance: 10 uJ", "value: 0.89, tolerance: 0.01"
+    )
+    text = text.replace(
+        "search:", "  product: {scene: pair, quantity: elastic_energy, value: 0.1674, tolerance: 0.002}\nsearch:"
+    )
+    study, lines = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 30"))), []
+    result = run_calibration(study, tmp_path / "out", jobs=2, report=lines.append)
+    assert result.is_met and len(lines) == 30
+    assert [each.value for each in result.parameters] == pytest.approx([0.27, 0.62], rel=0.05)
+    assert not any(each.not_identified for each in result.parameters) and not result.conflicts
+    best = (tmp_path / "out" / "best.yaml").read_text()
+    assert f"friction: {result.parameters[0].value!r}" in best
+    # The same command repeats nothing.
+    again = run_calibration(study, tmp_path / "out", jobs=2, report=lines.append)
+    assert len(lines) == 30 and again.parameters == result.parameters
+
+
+def test_conflicting_targets_are_reported(tmp_path, monkeypatch):
+    """The sum cannot be 0.6 and 0.9 at the same time."""
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
+    text = text.replace(
+        "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"
+    )
+    study = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 40")))
+    result = run_calibration(study, tmp_path / "out", jobs=1)
+    assert not result.is_met
+    (sentence,) = result.conflicts
+    assert sentence.startswith("energy and other conflict: of ") and sentence.endswith("but none meets both.")
 
 
 def target(folder, **more):

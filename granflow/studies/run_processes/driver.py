@@ -23,6 +23,9 @@ MAX_ATTEMPTS = 3
 POLL = 0.5
 """Interval [s] at which a request to stop is checked."""
 
+REPORT_INTERVAL = 60.0
+"""Longest time [s] without a report."""
+
 COMPILE_ONLY = "1e-12 s"
 """Simulated time of a run that only compiles kernels: one step."""
 
@@ -54,6 +57,10 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
+Report = Callable[[Progress, str], None]
+"""Function that receives the progress, and the name and status of a run that has just ended, or an empty text."""
+
+
 @dataclass(order=True)
 class _Job:
     """One run by its position in the study, or the compilation of its kernels, which comes before."""
@@ -74,8 +81,9 @@ class _Job:
 
 
 class Driver:
-    """Carries out runs; `report` receives the progress and the last outcome, at every change.
+    """Carries out runs.
 
+    `report` receives the progress at the start, every REPORT_INTERVAL, and after each run with its name and status.
     `slots`: function that returns how many runs are submitted at a time; `stop`: set from outside to stop all runs,
     each with a checkpoint.
     """
@@ -85,13 +93,14 @@ class Driver:
         executor: Executor,
         slots: Callable[[], int],
         stop: Event,
-        report: Callable[[Progress, CheckedRun, Outcome], None],
+        report: Report,
     ) -> None:
         self._executor, self._slots, self._stop, self._report = executor, slots, stop, report
         self._ready: list[_Job] = []
         self._held: dict[str, list[_Job]] = {}
         self._running: dict[Future[Outcome], _Job] = {}
         self._total = self._started_with = 0
+        self._began = self._told = 0.0
         self.outcomes: dict[str, Outcome] = {}
 
     def run(self, runs: Iterable[CheckedRun]) -> Mapping[str, Outcome]:
@@ -101,12 +110,15 @@ class Driver:
         """
         interrupt: KeyboardInterrupt | None = None
         self._schedule({run.request.directory: run for run in runs})
-        began = time.monotonic()
+        self._began = time.monotonic()
+        self._tell("")
         while self._running or (self._ready and not self._stop.is_set()):
             try:
                 self._submit()
                 for future in wait(self._running, POLL, FIRST_COMPLETED).done:
-                    self._finish(self._running.pop(future), future, time.monotonic() - began)
+                    self._finish(self._running.pop(future), future)
+                if time.monotonic() - self._told > REPORT_INTERVAL:
+                    self._tell("")
             except KeyboardInterrupt as error:
                 if interrupt is not None:
                     raise
@@ -152,7 +164,7 @@ class Driver:
         for job in self._running.values():
             Path(job.request.stop_file).touch()
 
-    def _finish(self, job: _Job, future: "Future[Outcome]", elapsed: float) -> None:
+    def _finish(self, job: _Job, future: "Future[Outcome]") -> None:
         """Record the outcome of a run, or retry it; release the runs that waited for its kernels."""
         outcome = _outcome_of(future)
         if job.compiles_only:
@@ -165,7 +177,12 @@ class Driver:
         if outcome.is_lost and job.attempt > 1:
             outcome = replace(outcome, reason=f"{outcome.reason} Attempts: {job.attempt}.")
         self.outcomes[job.run.request.directory] = outcome
-        self._report(self._progress(elapsed), job.run, outcome)
+        self._tell(f"{job.run.directory.name} {outcome.status}")
+
+    def _tell(self, event: str) -> None:
+        """Report the progress; `event`: name and status of the run that has ended, or an empty text."""
+        self._told = time.monotonic()
+        self._report(self._progress(self._told - self._began), event)
 
     def _progress(self, elapsed: float) -> Progress:
         """The state of all runs after `elapsed` [s]."""

@@ -21,6 +21,9 @@ from granflow.studies.run_processes.outcome import (
     write_outcome,
 )
 
+PROGRAM = (sys.executable, "-m", "granflow")
+"""Start of the command of each run."""
+
 POLL = 0.2
 """Interval [s] at which a process, and a request to stop it, are checked."""
 
@@ -112,10 +115,10 @@ def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], boo
 
     The process has a session of its own: Ctrl-C in the terminal reaches the driver only, which then stops the run.
     """
-    command = [sys.executable, "-m", "granflow", *arguments]
     with (directory / MESSAGES).open("wb") as messages:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=messages, start_new_session=True,
+            [*PROGRAM, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=messages,
+            start_new_session=True,
         )  # fmt: skip
         while True:
             try:

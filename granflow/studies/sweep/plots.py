@@ -176,6 +176,8 @@ def _shares(values: Sequence[Any]) -> list[float | None]:
         names = list(dict.fromkeys(map(str, values)))
         return [names.index(str(each)) / max(len(names) - 1, 1) for each in values]
     numbers = np.array(values, dtype=float)
+    if not np.isfinite(numbers).any():
+        return [None] * len(values)
     low, high = np.nanmin(numbers), np.nanmax(numbers)
     return [plain(float(each)) for each in (numbers - low) / (high - low if high > low else 1.0)]
 
@@ -183,7 +185,7 @@ def _shares(values: Sequence[Any]) -> list[float | None]:
 def _end(values: Sequence[Any], end: Any) -> Any:
     """Smallest or largest of the values that are numbers; of text the first or last in the alphabet."""
     numbers = [each for each in values if isinstance(each, int | float) and each == each]
-    return plain(end(numbers), 3) if numbers else end(map(str, values))
+    return plain(end(numbers), 3) if numbers else end(map(str, values), default="")
 
 
 def _color(share: float | None) -> str:

@@ -12,7 +12,7 @@ from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
-from granflow.studies.run_processes.driver import Driver, Progress
+from granflow.studies.run_processes.driver import Driver, Progress, Report
 from granflow.studies.run_processes.executors import Workers, executor_for
 from granflow.studies.run_processes.outcome import Outcome
 from granflow.studies.run_processes.settings import relocated
@@ -27,7 +27,6 @@ STOP_FILE = ".stop"
 TABLE_INTERVAL = 10.0
 """Shortest time [s] between two updates of the tables during the runs."""
 
-Report = Callable[[Progress, CheckedRun, Outcome], None]
 Points = Sequence[tuple[DesignPoint, Sequence[CheckedRun | str]]]
 """Each point with its runs, or the reasons why these are refused."""
 
@@ -98,7 +97,7 @@ def run_sweep(
 ) -> SweepTable:
     """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
 
-    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress after each run.
+    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress.
     Raises GranflowError if the sweep or the workers are not valid, or if another process runs a sweep in `out`.
     """
     stop = stop or Event()
@@ -129,9 +128,9 @@ class _Updates:
         self._written = time.monotonic()
         self.outcomes: Mapping[str, Outcome] = {}
 
-    def report(self, progress: Progress, run: CheckedRun, outcome: Outcome) -> None:
+    def report(self, progress: Progress, event: str) -> None:
         """Report the progress, and write the tables if they are old."""
-        self._report(progress, run, outcome)
+        self._report(progress, event)
         if time.monotonic() - self._written > TABLE_INTERVAL:
             write_tables(self._out, self._table(self.outcomes))
             self._written = time.monotonic()
