@@ -92,7 +92,8 @@ def _logarithm(x):
     for n in ti.static(range(SERIES_OF_LOG, 0, -1)):
         series = squared * (ti.static(1.0 / (2 * n + 1)) + series)
     high, error = _two_sum(e * LN2_HIGH, 2.0 * s)
-    return high, error + 2.0 * s_error + 2.0 * s * series + e * LN2_LOW
+    high, error = _two_sum(high, error + 2.0 * s_error + 2.0 * s * series + e * LN2_LOW)
+    return high, error
 
 
 @ti.func
