@@ -16,7 +16,7 @@ from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.build import plan_for
-from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
+from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.plan.scene_parts import PlannedStage
@@ -82,6 +82,8 @@ class Simulation:
         refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
+        else:
+            refuse_without_device_memory(self.plan, backend.arch)
         change = None if resume is None else accepted_change(resume, scene, self.plan, allow_changes)
         initial, earlier = initial_state(scene, self.plan, particles, resume)
         self.warnings = warnings_before(scene, self.plan, initial)

@@ -50,10 +50,12 @@ def exponential(x):
 
 @ti.func
 def _two_sum(a, b):
-    """Sum and its rounding error (Knuth)."""
+    """Sum and its rounding error for |a| >= |b| (Dekker 1971).
+
+    Vulkan drivers replace (a + b) - a by b, but leave a - (a + b) as it is.
+    """
     total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
+    return total, b + (a - total)
 
 
 @ti.func
@@ -82,7 +84,7 @@ def _logarithm(x):
     if m > ti.static(2.0**0.5):
         m, e = 0.5 * m, e + 1.0
     above = m - 1.0
-    below, below_error = _two_sum(m, 1.0)
+    below, below_error = _two_sum(ti.cast(1.0, ti.f64), m)  # of the same exponent, if m is larger
     s = above / below
     product, product_error = _two_product(s, below)
     s_error = ((above - product) - product_error - s * below_error) / below
@@ -90,7 +92,8 @@ def _logarithm(x):
     for n in ti.static(range(SERIES_OF_LOG, 0, -1)):
         series = squared * (ti.static(1.0 / (2 * n + 1)) + series)
     high, error = _two_sum(e * LN2_HIGH, 2.0 * s)
-    return high, error + 2.0 * s_error + 2.0 * s * series + e * LN2_LOW
+    high, error = _two_sum(high, error + 2.0 * s_error + 2.0 * s * series + e * LN2_LOW)
+    return high, error
 
 
 @ti.func

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from granflow.plan.features import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
+from granflow.plan.roofline import CONTACTS, GPUS, bytes_per_particle_step, particle_steps_per_second
 from granflow.plan.run_time import duration_of
 from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.time_step import rayleigh_time
@@ -31,8 +32,8 @@ class ExplainRow(NamedTuple):
     remark: str = ""
 
 
-def explain(plan: Plan) -> str:
-    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time.
+def explain(plan: Plan, on_gpu: bool = False) -> str:
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`, GPU rates.
 
     Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
     """
@@ -45,6 +46,7 @@ def explain(plan: Plan) -> str:
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
+        **({"GPU": _gpu_rows(plan)} if on_gpu else {}),
         "Run": _run_rows(plan),
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
@@ -153,6 +155,16 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     if memory.meshes:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield ExplainRow("total", size(memory.total), "")
+
+
+def _gpu_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the memory traffic per particle-step, and of the largest rate of each GPU."""
+    traffic = f"smallest memory traffic per particle-step with {CONTACTS:g} contacts per particle"
+    yield ExplainRow("traffic", size(bytes_per_particle_step(plan, plan.precision)), traffic)
+    for gpu in GPUS:
+        rate = 1e-6 * particle_steps_per_second(plan, plan.precision, gpu)
+        limit = f"largest rate at {gpu.bandwidth / 1e9:.0f} GB/s, not measured"
+        yield ExplainRow(gpu.name, f"{rate:.0f} million particle-steps per second", limit)
 
 
 def _history_text(plan: Plan) -> str:

@@ -1,4 +1,4 @@
-"""What granflow requires from a GPU backend, without granflow: each of these was wrong in one of them."""
+"""What granflow requires from a GPU backend, without its engine: each of these was wrong in one of them."""
 
 import pytest
 from subprocess_runner import in_subprocess
@@ -98,13 +98,13 @@ def test_20000_launches_are_executed(vulkan):
 
 
 def rounding(arch):
-    """Largest difference from numpy of + - * / sqrt and of a product and sum, which must not be contracted."""
+    """Number of results, by expression, that differ from numpy."""
     import numpy as np
 
     ti = started(arch)
     rng = np.random.default_rng(2)
-    a, b, c = (10.0 ** rng.uniform(-3, 3, 2000) * rng.choice([-1.0, 1.0], 2000) for _ in range(3))
-    found = np.zeros((2000, 3))
+    a, b, c = (10.0 ** rng.uniform(-1, 1, 2000) for _ in range(3))
+    found = np.zeros((2000, 8))
 
     @ti.kernel
     def evaluate(a: ti.types.ndarray(), b: ti.types.ndarray(), c: ti.types.ndarray(), found: ti.types.ndarray()):
@@ -112,12 +112,51 @@ def rounding(arch):
             found[i, 0] = a[i] * b[i] + c[i] * c[i]
             found[i, 1] = (a[i] - b[i]) / c[i]
             found[i, 2] = ti.sqrt(a[i] * a[i] + 1.0)
+            found[i, 3] = a[i] - (a[i] + b[i])
+            found[i, 4] = (a[i] + b[i]) - a[i]
+            found[i, 5] = (a[i] * 0.3) * 0.7
+            found[i, 6] = a[i] / 3.0
+            found[i, 7] = a[i] * b[i] + a[i] * c[i]
 
     evaluate(a, b, c, found)
-    exact = np.stack([a * b + c * c, (a - b) / c, np.sqrt(a * a + 1.0)], axis=1)
-    return [float(each) for each in np.abs(found - exact).max(axis=0)]
+    exact = [a * b + c * c, (a - b) / c, np.sqrt(a * a + 1.0), a - (a + b), (a + b) - a, (a * 0.3) * 0.7, a / 3.0]
+    return np.count_nonzero(found != np.stack([*exact, a * b + a * c], axis=1), axis=0).tolist()
 
 
-@pytest.mark.parametrize("arch", ["cpu", "vulkan"])
-def test_arithmetic_has_the_bits_of_numpy(vulkan, arch):
-    assert in_subprocess(rounding, arch) == [0.0, 0.0, 0.0]
+def test_each_operation_has_the_bits_of_numpy(vulkan):
+    assert in_subprocess(rounding, "cpu") == [0] * 8
+    assert in_subprocess(rounding, "vulkan")[:4] == [0] * 4
+
+
+@pytest.mark.xfail(reason="neither Quadrants nor Taichi marks operations as exact, so that Vulkan drivers reassociate")
+def test_expressions_have_the_bits_of_numpy(vulkan):
+    """Required for the bits of the CPU; if this passes, `test_scenes` can compare bits."""
+    assert in_subprocess(rounding, "vulkan")[4:] == [0] * 4
+
+
+def powers(arch):
+    """Largest differences of x^0.4 and e^x from numpy, in units of the last place."""
+    import numpy as np
+
+    from granflow.contact.power import exponential_f64, power_f64
+
+    ti = started(arch)
+    rng = np.random.default_rng(3)
+    x = np.concatenate([10.0 ** rng.uniform(-30.0, 12.0, 2000), [0.0]])
+    y = np.concatenate([rng.uniform(-30.0, 30.0, 2000), [0.0]])
+    found = np.zeros((2001, 2))
+
+    @ti.kernel
+    def evaluate(x: ti.types.ndarray(), y: ti.types.ndarray(), found: ti.types.ndarray()):
+        for i in range(2001):
+            found[i, 0] = power_f64(x[i], 0.4)
+            found[i, 1] = exponential_f64(y[i], 0.0)
+
+    evaluate(x, y, found)
+    exact = np.stack([x**0.4, np.exp(y)], axis=1)
+    return (np.abs(found - exact) / np.spacing(exact)).max(axis=0).tolist()
+
+
+def test_powers_without_those_of_vulkan_are_exact_to_2_ulp(vulkan):
+    """Numpy itself is exact to 1 ulp."""
+    assert max(in_subprocess(powers, "vulkan")) <= 3.0
