@@ -223,16 +223,6 @@ def test_a_model_that_no_pair_needs_is_not_active(tmp_path):
     assert plan.features.rolling == "viscous"
 
 
-def test_a_range_is_rejected_at_registration():
-    @dataclass(frozen=True)
-    class Bridge(Sticky):
-        name = "bridge"
-        range = 1e-3
-
-    with pytest.raises(ValueError, match="a range other than 0 is not supported"):
-        register_contact_model(ContactModel(Bridge, "acts without overlap"))
-
-
 class StickyCase(Case):
     """An elastic Hertz contact with the external cohesion, for the generic tests."""
 

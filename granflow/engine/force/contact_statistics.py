@@ -6,6 +6,7 @@ from typing import Any
 import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
+from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
@@ -48,7 +49,7 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
     particles, neighbors = state.particles, state.neighbors
     real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
     any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
-    pair_constants, stride = build_pair_constants(state), state.stride
+    pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
 
     @ti.kernel
     def measure(chunks: ti.i32, count: ti.i32, dt: real):
@@ -62,19 +63,20 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, 0, dt)
+                        if in_range(i, j, contact.overlap):
+                            share, constants = weight(i, j), pair_constants(i, j)
+                            elastic, plastic = energies(list_index, constants, contact)
+                            found[ELASTIC] += share * elastic
+                            found[PLASTIC] += share * plastic
                         if contact.overlap > 0.0:
                             share = weight(i, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
-                            constants = pair_constants(i, j)
-                            elastic, plastic = energies(list_index, constants, contact)
                             found[COUNT] += share
                             found[OVERLAP_SUM] += share * relative
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
-                            found[ELASTIC] += share * elastic
-                            found[PLASTIC] += share * plastic
                             particles.coordination_number[i] += 1
                             if share == 1.0 and j >= 0:
                                 particles.coordination_number[j] += 1
@@ -113,12 +115,14 @@ def build_energies(state: State) -> Any:
         stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
         if ti.static(energy_budget):
             history = read_history(list_index)
-            stored += laws.normal.stored_energy(constants.normal, contact, history.normal)
-            lost += laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if contact.overlap > 0.0:
+                stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
+                lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
             if ti.static(laws.has_cohesion):
                 stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
                 lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
-            stored = with_surface_energy(stored, constants, contact, history)
+            if contact.overlap > 0.0:
+                stored = with_surface_energy(stored, constants, contact, history)
         return stored, lost
 
     return energies

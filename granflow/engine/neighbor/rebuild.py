@@ -91,7 +91,7 @@ class NeighborListRebuild:
     def _fill_lists(self, pose: int) -> None:
         """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
         while True:
-            self._fill(self._state.count, self._state.plan.skin, pose)
+            self._fill(self._state.count, self._state.plan.skin + self._state.plan.laws.range, pose)
             needed = int(self._state.control.list_length_needed[0])
             if needed <= self._state.neighbors.list_capacity_per_chunk:
                 return
