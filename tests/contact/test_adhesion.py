@@ -103,7 +103,7 @@ def test_device_equals_its_reference(taichi_f64, name):
     np.testing.assert_allclose(found[far], expected[far], rtol=0.0, atol=1e-12 * expected.max())
 
 
-@pytest.mark.parametrize("name", [*BONDS, "van_der_waals"])
+@pytest.mark.parametrize("name", [*BONDS, "van_der_waals", "dmt", "sjkr"])
 def test_force_is_the_derivative_of_the_energy_and_losses_only_grow(taichi_f64, name):
     law, pair = law_of(name, pair_with()), pair_with()
     overlap = pulled(law)

@@ -25,7 +25,7 @@ def scales(units):
     """Value of the SI unit of each pair option, number and vector in other units."""
     torque, time = units.newton * units.meter, units.second
     return {
-        "number": 1.0, "friction": 1.0,
+        "number": 1.0, "time": units.second,
         "radius_eff": units.meter, "mass_eff": units.kilogram, "inertia_eff": units.kilogram * units.meter**2,
         "time_step": time, "longest_time_step": time, "overlap": units.meter, "overlap_rate": units.velocity,
         "normal_load": units.newton, "stiffness": units.newton / units.meter, "stiffness_ratio": 1.0,
