@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))

@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
+    "kernel_language",
     "visible_text",
     "fields",
     "snapshot",
@@ -145,13 +146,19 @@ def test_imports_have_no_cycles():
     assert not below
 
 
-def test_only_the_taichi_layers_import_taichi():
-    violations = [
-        name
-        for name in modules()
-        if layer(name) not in TAICHI_LAYERS and any(t.split(".")[0] == "taichi" for t in imports(name))
-    ]
-    assert not violations
+def test_one_module_imports_the_kernel_language():
+    packages = {"taichi", "quadrants"}
+    assert not [name for name in modules() if packages & {target.split(".")[0] for target in imports(name)}]
+    users = {name for name in modules() if uses_kernel_language(name)}
+    assert {layer(name) for name in users} == TAICHI_LAYERS
+
+
+def uses_kernel_language(name):
+    """True if a module imports `ti`, or reads it as an attribute of the module of the kernel language."""
+    nodes = list(ast.walk(modules()[name][1]))
+    froms = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module == "granflow.kernel_language"]
+    attributes = [ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)]
+    return any(alias.name == "ti" for node in froms for alias in node.names) or "kernel_language.ti" in attributes
 
 
 def test_taichi_modules_do_not_postpone_annotations():
@@ -159,7 +166,7 @@ def test_taichi_modules_do_not_postpone_annotations():
     violations = [
         name
         for name in modules()
-        if layer(name) in TAICHI_LAYERS and "taichi" in imports(name) and "__future__" in imports(name)
+        if layer(name) in TAICHI_LAYERS and uses_kernel_language(name) and "__future__" in imports(name)
     ]
     assert not violations
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from granflow.load import Scene
 
-ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
+ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan")
 """Values of --arch; gpu selects the first available GPU backend."""
 
 PRECISIONS = ("f64", "f32", "mixed")

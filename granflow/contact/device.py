@@ -1,4 +1,4 @@
-"""Device functions of contact models: `ti.func` that imports Taichi at the first compilation.
+"""Device functions of contact models: `ti.func` that imports the kernel language at the first compilation.
 
 Scenes are read, checked and documented without Taichi, whose import takes longer than all of that, but the record of a
 contact model contains its device functions. A device function may be a method: `self` is a constant of the
@@ -8,8 +8,9 @@ would be compiled again; device functions read them in `constants`, see `law.Law
 
 from collections.abc import Callable
 from functools import cache, wraps
-from importlib import import_module
 from typing import Any
+
+from granflow import kernel_language
 
 
 class DeviceObject:
@@ -26,16 +27,18 @@ class _CompiledFunction:
 
 def at_compile_time(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator for a Python function that a device function calls while it is compiled, with expressions as values."""
-    vars(function).update(_is_taichi_function=True, _is_real_function=False, func=_CompiledFunction)
+    taichi = {"_is_taichi_function": True, "func": _CompiledFunction}
+    quadrants = {"_is_quadrants_function": True, "wrapper": _CompiledFunction}
+    vars(function).update(taichi | quadrants, _is_real_function=False)
     return function
 
 
 class _Taichi:
-    """The module `taichi`, imported when an attribute other than `func` is read."""
+    """The kernel language, imported when an attribute other than `func` is read."""
 
     def __getattr__(self, name: str) -> Any:
         """Attribute of the module."""
-        return getattr(import_module("taichi"), name)
+        return getattr(kernel_language.ti, name)
 
     @staticmethod
     def func(function: Callable[..., Any]) -> Any:
@@ -43,7 +46,7 @@ class _Taichi:
 
         @cache
         def compiled() -> Any:
-            return import_module("taichi").func(function)
+            return kernel_language.ti.func(function)
 
         @wraps(function)
         def inlined(*arguments: Any, **keywords: Any) -> Any:

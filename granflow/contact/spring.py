@@ -10,6 +10,7 @@ from granflow.contact.device import DeviceObject, ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.options import Amount, Choice
+from granflow.contact.power import power
 from granflow.contact.theory import MIN_VELOCITY_SHARE
 
 STIFFNESS = Choice(
@@ -37,7 +38,7 @@ def equivalent_spring(constants, contact, velocity):
     K = (4/5) k sqrt(dmax) = (4/5) k (5 M v^2 / (4 k))^(1/5)        k = (4/3) E sqrt(R)
     """
     k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
-    return 0.8 * k * ti.pow(1.25 * contact.mass_eff * velocity * velocity / k, 0.2)
+    return 0.8 * k * power(1.25 * contact.mass_eff * velocity * velocity / k, 0.2)
 
 
 @dataclass(frozen=True)

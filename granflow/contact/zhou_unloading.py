@@ -1,6 +1,7 @@
 """Unloading curve of Zhou (2011) and its parameters as device functions; `theory` contains their host forms."""
 
 from granflow.contact.device import ti
+from granflow.contact.power import exponential, power
 from granflow.contact.substep_corrections import mean_above
 
 NEWTON_STEPS = 5
@@ -22,7 +23,7 @@ def restitution_at(constants, velocity):
         if velocity <= 0.0:
             e = 1.0
         elif velocity < limit:
-            e = ti.exp(-constants.sigma * ti.pow(velocity / (limit - velocity), constants.psi))
+            e = exponential(-constants.sigma * power(velocity / (limit - velocity), constants.psi))
     return e
 
 

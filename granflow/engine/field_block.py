@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.backend import Backend
+from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
 
 

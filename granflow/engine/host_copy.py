@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import taichi as ti
-from taichi.lang.util import to_numpy_type
 
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.kernel_language import ti
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
 
 
@@ -32,7 +31,9 @@ class FieldTable:
             first = len(by_type[is_integer])
             by_type[is_integer] += _components(field)
             self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
-        real = np.result_type(np.float32, *(to_numpy_type(component.dtype) for component in by_type[False]))
+        real = np.result_type(
+            np.float32, *(ti.lang.util.to_numpy_type(component.dtype) for component in by_type[False])
+        )
         self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
         self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
@@ -45,7 +46,7 @@ class FieldTable:
         for name, (is_integer, columns) in self._columns.items():
             part, field = tables[is_integer][:, columns], self.fields[name]
             shaped = part if hasattr(field, "n") else part[:, 0]
-            found[name] = np.ascontiguousarray(shaped, to_numpy_type(field.dtype))
+            found[name] = np.ascontiguousarray(shaped, ti.lang.util.to_numpy_type(field.dtype))
         return found
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:

@@ -11,11 +11,10 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_integrate(state: State) -> Any:

@@ -8,10 +8,10 @@ with the opposite ones; both are stored by pose, as wall positions are.
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 
 

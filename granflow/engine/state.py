@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
@@ -14,6 +13,7 @@ from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, history_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan

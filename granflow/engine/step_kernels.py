@@ -6,11 +6,10 @@ If a neighbor-list rebuild is due, all further phases of a launch do nothing.
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.engine.wall_dynamics import move_walls
+from granflow.kernel_language import ti
 
 
 def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:

@@ -9,8 +9,6 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import taichi as ti
-
 from granflow.engine.force.contact_forces import build_forces
 from granflow.engine.integrate import build_integrate
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
@@ -19,6 +17,7 @@ from granflow.engine.state import State
 from granflow.engine.step_kernels import build_cpu_steps, build_gpu_step
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, grown_capacity
 
 GPU_BATCH = 16

@@ -13,11 +13,11 @@ integrated in the same phase of the step.
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
+from granflow.kernel_language import ti
 
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.mesh import triangle_contact
 from granflow.engine.periodic_box import build_wrap_position
@@ -12,6 +11,7 @@ from granflow.engine.wall_dynamics import controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.motion import pose
 from granflow.geometry.shape import FAR_AWAY, Shape
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 
 

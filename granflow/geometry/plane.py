@@ -9,7 +9,6 @@ common edge is accessible only through the half space.
 from collections.abc import Sequence
 
 import numpy as np
-import taichi as ti
 
 from granflow.geometry.shape import (
     Shape,
@@ -20,6 +19,7 @@ from granflow.geometry.shape import (
     make_shape,
     unit,
 )
+from granflow.kernel_language import ti
 
 
 @ti.func

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from granflow.io.atomic_files import write_text
+from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
 
 
@@ -45,8 +46,8 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
 
 
 def versions() -> str:
-    """Return the versions of granflow, Taichi, numpy and Python, and the platform."""
-    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", "taichi", "numpy"))
+    """Return the versions of granflow, the kernel language, numpy and Python, and the platform."""
+    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", KERNELS, "numpy"))
     return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
 
 

@@ -12,27 +12,15 @@ from pathlib import Path
 
 import meshio
 import pytest
+from adversarial.beads import BEADS
 
-SCENE = """\
-title: Ten beads fall
-gravity: [0, 0, -9.81]
-materials: {glass: {young_modulus: 10 MPa, poisson_ratio: 0.23, density: 2500}}
-pairs: {glass-glass: {restitution: 0.8, friction: 0.4}}
-contact: {normal: zhou, tangential: mindlin, rolling: none}
-walls:
-  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
-particles:
-  beads:
-    material: glass
-    count: 10
-    diameter: 4 mm
-    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
-domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
-run: {duration: 50 ms}
-output: {interval: 10 ms}
+SCENE = (
+    BEADS
+    + """\
 expect:
   - {quantity: particle_count, equals: 10, tolerance: 0}
 """
+)
 ON_EXIT_LINE = 14
 FRAMES_TIMEOUT = 60.0
 """Longest wait [s] for the first frames of a run that is then interrupted."""

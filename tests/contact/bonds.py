@@ -5,19 +5,19 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-import taichi as ti
 from contact.surface_paths import SurfaceLaws
 
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
 from granflow.engine.force.structs import build_constants, build_slot_history, build_slot_vector
+from granflow.kernel_language import ti
 
 RADIUS, MODULUS = 1e-4, 1e7
 """Effective radius [m] and modulus [Pa] of a soft particle, to which JKR applies."""
 OPTIONS = {
     "work_of_adhesion": 0.05, "surface_tension": 0.072, "contact_angle": 0.3, "liquid_volume": 1e-16,
-    "cohesion_energy_density": 1e4, "hamaker_constant": 1e-19,
+    "cohesion_energy_density": 1e4, "hamaker_constant": 1e-19, "separation": 1e-8,
 }  # fmt: skip
 
 
@@ -29,7 +29,7 @@ def pair_with(**options):
 def law_of(name, pair):
     """The cohesion model of this name for a pair, with the energy budget."""
     return models("cohesion")[name].law.from_scene(
-        ModelRequest(models("cohesion")[name].example, (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
+        ModelRequest({}, (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
     )
 
 

@@ -6,7 +6,6 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-import taichi as ti
 
 from granflow.contact.cohesion.sjkr import Sjkr
 from granflow.contact.law import ContactState, ModelRequest
@@ -15,6 +14,7 @@ from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.registry import models
 from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.structs import build_constants, build_read_slots, build_slot_vector
+from granflow.kernel_language import ti
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-import taichi as ti
 
 from granflow.contact.surface_law import TangentialLaw
 from granflow.engine.force.structs import build_constants, build_slot_history, build_slot_vector
+from granflow.kernel_language import ti
 
 NUMBERS = (
     *("radius_eff", "mass_eff", "inertia_eff", "time_step", "longest_time_step", "overlap", "overlap_rate"),

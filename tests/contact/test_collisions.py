@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import taichi as ti
 from contact.cases import (
     CASES,
     COHESION,
@@ -16,6 +15,8 @@ from contact.cases import (
     law_parameters,
     single_contact,
 )
+
+from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 

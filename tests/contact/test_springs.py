@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import taichi as ti
 
 from granflow.contact.rolling.bounded_torque import STOPPED_SHARE, bounded_torque
 from granflow.contact.tangential import spring
+from granflow.kernel_language import ti
 
 VECTORS = ti.types.ndarray(ti.f64, 2)
 NUMBERS = ti.types.ndarray(ti.f64, 1)

@@ -23,6 +23,25 @@ ROOT = math.sqrt(4.0 * SQUARE - LINEAR**2)
 """Square root of minus the discriminant of the denominator, for its integral."""
 
 
+HALVINGS, SERIES = 3, 12
+"""Halvings of an angle below pi/2, so that its tangent is below 0.2, and terms of the series: the next is 1e-18."""
+
+
+@ti.func
+def arctangent(x):
+    """atan(x) for x >= 0 from + - * / sqrt, which every backend has in f64.
+
+    atan(x) = 2 atan(x / (1 + sqrt(1 + x^2))),   atan(x) = x - x^3/3 + x^5/5 - ...
+    """
+    half = x
+    for _ in ti.static(range(HALVINGS)):
+        half = half / (1.0 + ti.sqrt(1.0 + half * half))
+    square, series = half * half, 0.0 * x
+    for n in ti.static(range(SERIES, -1, -1)):
+        series = 1.0 / (2 * n + 1) - square * series
+    return 2.0**HALVINGS * half * series
+
+
 @dataclass(frozen=True)
 class Capillary(BondLaw):
     """Every contact has a liquid bridge of the volume of its pair."""
@@ -70,7 +89,7 @@ class Capillary(BondLaw):
         here = (2.0 * SQUARE * ti.max(-contact.overlap, 0.0) * scale + LINEAR) / ROOT
         end = (2.0 * SQUARE * constants.distance * scale + LINEAR) / ROOT
         # the difference of two arctangents as one, without cancellation
-        distance = 2.0 / ROOT * ti.atan2(end - here, 1.0 + end * here) / scale + ti.max(contact.overlap, 0.0)
+        distance = 2.0 / ROOT * arctangent((end - here) / (1.0 + end * here)) / scale + ti.max(contact.overlap, 0.0)
         return -4.0 * math.pi * contact.radius_eff * constants.tension * distance
 
     def reference_bond(self, contact: ContactState) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import WORK_OF_ADHESION
+from granflow.contact.power import power
 
 SNAP_OFF = 0.75 * 0.25 ** (1.0 / 3.0)
 """Distance over d_s at which the contact snaps off: y - y^4 at y^3 = 1/4."""
@@ -43,7 +44,7 @@ def length_scale(constants, contact):
     """Contact radius a_s [m] at zero overlap."""
     radius = contact.radius_eff
     cube = 2.0 * math.pi * constants.work_of_adhesion * radius * radius / constants.modulus_eff
-    return ti.max(ti.pow(cube, 1.0 / 3.0), SMALLEST_SCALE * radius)
+    return ti.max(power(cube, 1.0 / 3.0), SMALLEST_SCALE * radius)
 
 
 @ti.func
@@ -55,7 +56,7 @@ def root_of_contact_radius(d):
     m = A - B with A^3 - B^3 = 1/8 and A B = d/3, as a quotient without cancellation.
     """
     third = d / 3.0
-    a = ti.pow(0.0625 + ti.sqrt(ti.max(1.0 / 256.0 + third * third * third, 0.0)), 1.0 / 3.0)
+    a = power(0.0625 + ti.sqrt(ti.max(1.0 / 256.0 + third * third * third, 0.0)), 1.0 / 3.0)
     b = third / a
     m = 0.125 / (a * a + third + b * b)
     return 0.5 * (ti.sqrt(2.0 * m) + ti.sqrt(ti.max(ti.sqrt(2.0 / m) - 2.0 * m, 0.0)))

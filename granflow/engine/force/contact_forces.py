@@ -6,8 +6,6 @@ the whole contact model and is not needed within a chunk.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
@@ -35,6 +33,7 @@ from granflow.engine.neighbor.mesh_contact_history import (
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING, WALL_WORK
 
 

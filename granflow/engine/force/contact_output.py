@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
@@ -13,6 +12,7 @@ from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
+from granflow.kernel_language import ti
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit above which a contact counts as sliding."""

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
 """Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""

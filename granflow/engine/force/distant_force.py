@@ -6,8 +6,6 @@ model ends it or the distance exceeds its range; the histories of the other mode
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
 from granflow.engine.force.structs import build_slot_vector
 from granflow.engine.neighbor.contact_history import (
@@ -17,6 +15,7 @@ from granflow.engine.neighbor.contact_history import (
     build_read_history,
 )
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_distant_force(state: State, with_wall: bool) -> Any:

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_sphere_kinematics
@@ -11,6 +10,7 @@ from granflow.engine.force.pair_kinematics import build_effective, build_pair_co
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
+from granflow.kernel_language import ti
 
 
 class MaxImpactVelocity:

@@ -6,9 +6,8 @@ exchanged, each result is bit-identical or has exactly the opposite sign.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.contact.laws import ContactLaws
+from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}

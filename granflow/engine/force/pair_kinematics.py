@@ -2,14 +2,13 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
 from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:

@@ -7,8 +7,6 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
@@ -35,6 +33,7 @@ from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import LANES, State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
 
 BATCH = 128

@@ -3,10 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
-import taichi as ti
-
 from granflow.contact.device import at_compile_time
 from granflow.contact.laws import ContactLaws
+from granflow.kernel_language import ti
 
 
 @at_compile_time

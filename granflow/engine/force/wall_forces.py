@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_add_impulse(state: State) -> Any:

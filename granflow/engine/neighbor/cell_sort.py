@@ -6,11 +6,10 @@ Integers determine all results: identical bits for any number of threads.
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 

@@ -3,9 +3,8 @@
 `sorting` is `State.cell_sort`; cell coordinates are 3-vectors of integers, from 0.
 """
 
-import taichi as ti
-
 from granflow.engine.neighbor.cell_grid import BLOCK_SIDE
+from granflow.kernel_language import ti
 from granflow.plan.plan import BLOCK_CELLS
 
 ROUNDING = 1e-5

@@ -2,11 +2,10 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_kinematics import build_weight
 from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import PLASTIC
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)

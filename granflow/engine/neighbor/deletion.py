@@ -4,10 +4,10 @@ from math import inf
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS
 from granflow.plan.outlets import PlannedOutlet
 

@@ -6,14 +6,13 @@ the history that a contact of the first pass released; then the released entries
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.force.pair_kinematics import build_pair_constants
 from granflow.engine.mesh import from_nearest
 from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 from granflow.geometry.shape import FAR_AWAY
+from granflow.kernel_language import ti
 
 CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
 """State of the entries evaluated in each pass."""

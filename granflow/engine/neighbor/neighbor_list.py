@@ -7,8 +7,6 @@ threads.
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.frozen_masks import build_can_touch
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.cells import adjacent_cells, cell_number, cell_of_point, cells_within, wrapped_cell
@@ -16,6 +14,7 @@ from granflow.engine.neighbor.saved_history import build_restore_history
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
+from granflow.kernel_language import ti
 
 
 def build_neighbor_list(state: State) -> Callable[..., None]:

@@ -3,9 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_save_history(state: State) -> Callable[[int], None]:
