@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from contact.bonds import MODULUS, OPTIONS, RADIUS, evaluate_bonds, evaluate_reference_bonds, law_of, pair_with
+from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 from scipy.integrate import quad
 
@@ -127,6 +128,8 @@ def test_a_pair_without_adhesion_has_no_force(taichi_f64, name, without):
 
 DENSITY, DIAMETER = 2500.0, 2.0 * RADIUS
 SOLID = {"young_modulus": 2e7, "poisson_ratio": 0.3, "density": DENSITY}
+SLIDING = 0.05
+"""Velocity [m/s] along a floor without friction: a contact crosses the line y = 0, an edge of the mesh."""
 SHARES = (0.99, 1.01, 1.5, 3.0)
 """Impact velocities over the sticking velocity."""
 
@@ -146,22 +149,23 @@ def lost_energy(name, radius_eff):
     return quad(force, 0.0, (1.0 + 0.5 * angle) * volume ** (1.0 / 3.0))[0]
 
 
-def impacts(name, chunk_size, gravity=0.0):
+def impacts(name, chunk_size, gravity=0.0, floor_wall=None):
     """A scene of particles that hit a floor or another particle at rest, and the two sticking velocities."""
     mass = DENSITY * math.pi / 6.0 * DIAMETER**3
     floor = math.sqrt(2.0 * lost_energy(name, RADIUS) / mass)
     pair = math.sqrt(2.0 * lost_energy(name, 0.5 * RADIUS) / (0.5 * mass))
     gap = 0.01 * RADIUS
-    falling = [[10.0 * RADIUS * k, 0.0, RADIUS + gap] for k in range(len(SHARES))]
+    falling = [[10.0 * RADIUS * k, -1e-5, RADIUS + gap] for k in range(len(SHARES))]
     targets = [[10.0 * RADIUS * k, 0.0, 30.0 * RADIUS] for k in range(len(SHARES))]
     shots = [[x, y, z + DIAMETER + gap] for x, y, z in targets]
     speeds = np.array([*(-floor * np.array(SHARES)), *np.zeros(len(SHARES)), *(-pair * np.array(SHARES))])
     group = particle_group(
-        [*falling, *targets, *shots], DIAMETER, velocity=np.stack([0 * speeds, 0 * speeds, speeds], 1)
+        [*falling, *targets, *shots], DIAMETER, velocity=np.stack([0 * speeds, 0 * speeds + SLIDING, speeds], 1)
     )
     options = {key: OPTIONS[key] for key in model_keys(name)}
+    wall = floor_wall or plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     scene = build_scene(
-        {"balls": group}, {"floor": plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])}, pair={"restitution": 1.0} | options,
+        {"balls": group}, {"floor": wall}, pair={"restitution": 1.0} | options,
         contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": name},
         materials={"glass": SOLID}, domain={"min": [-0.01] * 3, "max": [0.05] * 3, "on_exit": "error"},
         run={"duration": 20000 * 2e-8, "time_step": 2e-8, "velocity_max": 5.0 * max(floor, pair)},
@@ -206,6 +210,22 @@ def test_impacts_stick_below_the_sticking_velocity_and_lose_the_work_of_adhesion
     assert last.totals["plastic_dissipation"] >= ends * 0.999
     assert abs(last.totals["energy_error"]) < 2e-3, "relative error of the energy budget"
     assert last.totals["plastic_dissipation"] < start
+
+
+@pytest.mark.slow
+def test_bonds_slide_from_one_triangle_of_a_mesh_to_the_next(taichi_f64, tmp_path, monkeypatch):
+    """The same velocities as on a plane, for contacts that cross an edge of the mesh while bonded."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "sheet.stl", *sheet(8, 0.02))
+    mesh = {"shape": "mesh", "file": "sheet.stl", "material": "glass"}
+    velocities = []
+    for wall in (None, mesh):
+        scene, floor, *_ = impacts("capillary", 12, floor_wall=wall)
+        last, _ = run_to_end(scene)
+        order = np.argsort(last.particles["id"])[: len(SHARES)]
+        velocities.append(last.particles["velocity"][order, 2] / floor)
+        assert np.all(last.particles["position"][order, 1] > 0.0)
+    np.testing.assert_allclose(velocities[1], velocities[0], rtol=0.0, atol=1e-3)
 
 
 def test_explain_shows_the_bond_number():
