@@ -321,9 +321,10 @@ RUN_QUANTITIES = _by_name(
         Quantity("step_count", "", "1", "number of completed steps"),
         Quantity("time_step", "dt", "s", "time step"),
         Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
-        Quantity("steps_per_second", "", "1/s", "steps per second of wall-clock time, without compilation"),
+        Quantity("steps_per_second", "", "1/s", "steps per second of computing time: without compilation and output"),
+        Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second of computing time"),
         Quantity(
-            "particle_steps_per_second", "", "1/s", "particle-steps per second of wall-clock time, without compilation"
+            "steps_per_second_of_wall_clock", "", "1/s", "steps per second of `wall_clock`: with compilation and output"
         ),
     )
 )

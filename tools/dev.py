@@ -22,7 +22,13 @@ ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / "granflow-installed.txt"
 UNFINISHED = "unfinished"
 OLDEST, NEWEST = (3, 10), (3, 13)
-EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot"), "gpu-test": ("dev", "quadrants")}
+EXTRAS = {
+    "run": (),
+    "test": ("dev",),
+    "check": ("dev",),
+    "slow": ("dev", "plot", "sweep", "cluster", "calibrate"),
+    "gpu-test": ("dev", "quadrants"),
+}
 
 
 def main(arguments: "list[str]") -> int:
@@ -85,7 +91,8 @@ def install(extras: "tuple[str, ...]") -> None:
     if usable and {inputs, *extras} <= set(installed):
         return
     print(f"Setting up {ENVIRONMENT} (the first time takes a minute or two) ...", file=sys.stderr)
-    extras = tuple(sorted({*extras, *({"dev", "plot", "quadrants"} & set(installed))}))
+    kept = {extra for each in EXTRAS.values() for extra in each} & set(installed)
+    extras = tuple(sorted({*extras, *kept}))
     if not usable:
         make_environment()
     STAMP.write_text(UNFINISHED + "\n")

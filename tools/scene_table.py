@@ -29,8 +29,9 @@ COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "d
 
 
 def names() -> list[str]:
-    """Names of the shipped scenes: paths relative to scenes/ without suffix."""
-    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml"))
+    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
+    paths = [path for path in SCENES.rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration")]
+    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in paths)
 
 
 def row(cells: Sequence[str]) -> str:

@@ -102,6 +102,13 @@ def thread_count(text: str) -> int:
     return int(text)
 
 
+def count(text: str) -> int:
+    """Convert a number of jobs or trials for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a valid number; give a whole number of at least 1")
+    return int(text)
+
+
 def load(options: argparse.Namespace) -> "Scene":
     """Read the scene with the overrides of the command line, --precision included.
 

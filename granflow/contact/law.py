@@ -18,8 +18,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import DeviceObject, ti
 from granflow.contact.material import PairMaterial
+from granflow.device_functions import DeviceObject, ti
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from math import log
 
 from granflow import kernel_language
-from granflow.contact.device import at_compile_time, ti
+from granflow.device_functions import at_compile_time, ti
 
 SPLITTER = 2.0**27 + 1.0
 """Splits 53 bits into two halves of at most 26 bits (Dekker 1971)."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import DeviceObject, ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.options import Amount, Choice
 from granflow.contact.power import power
 from granflow.contact.theory import MIN_VELOCITY_SHARE
+from granflow.device_functions import DeviceObject, ti
 
 STIFFNESS = Choice(
     "onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at this "

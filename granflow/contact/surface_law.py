@@ -19,8 +19,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import Law
+from granflow.device_functions import ti
 
 SurfaceState: TypeAlias = SimpleNamespace
 """Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by name."""

@@ -1,8 +1,8 @@
 """Unloading curve of Zhou (2011) and its parameters as device functions; `theory` contains their host forms."""
 
-from granflow.contact.device import ti
 from granflow.contact.power import exponential, power
 from granflow.contact.substep_corrections import mean_above
+from granflow.device_functions import ti
 
 NEWTON_STEPS = 5
 """Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
+from granflow.engine.kernel_source import source_lines
 from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
@@ -21,6 +22,10 @@ Arch = Literal["cpu", "cuda", "vulkan", "gpu"]
 """Requested architecture; "gpu" is CUDA, or Vulkan where that is absent."""
 Precision = Literal["f64", "f32", "mixed"]
 """Floating-point types: f64, f32, or mixed (positions float64, forces and velocities float32)."""
+
+
+MOST_THREADS = 1024
+"""Number of threads in the key of compiled kernels; larger than any pool."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,11 @@ class Backend:
     real: Any
     position_real: Any
     worker_count: int
+
+    @property
+    def types(self) -> dict[str, Any]:
+        """Taichi types by the names of `granflow.fields.DeviceType`."""
+        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32}
 
     @property
     def on_cpu(self) -> bool:
@@ -80,15 +90,16 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         atexit.register(_stop_and_remove, folder)
     if KERNELS == "taichi":
         ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
+        ti.lang.kernel_impl.getsourcelines = source_lines
     wrapped = guarded if KERNELS == "taichi" else in_context
     ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
     _init(
+        workers,
         arch=getattr(ti, name),
         default_fp=real,
         fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
         log_level=ti.ERROR,
-        cpu_max_num_threads=workers,
         offline_cache_file_path=str(folder),
     )
     _check_started(name)
@@ -111,11 +122,18 @@ def _position_in_source(context: Any, node: Any) -> str:
     return line + context.src[node.lineno - 1] + "\n"
 
 
-def _init(**options: Any) -> None:
-    """Start Taichi without its messages. Raises GranflowError if it cannot allocate memory."""
+def _init(workers: int, **options: Any) -> None:
+    """Start Taichi with a pool of `workers` threads, without its messages.
+
+    The number of threads is part of the key of compiled kernels, but only limits how many threads of the pool a loop
+    uses. After the start of the pool it is therefore set to MOST_THREADS, so that all pools use the same kernels.
+
+    Raises GranflowError if Taichi cannot allocate memory.
+    """
     with redirect_stdout(StringIO()):  # Taichi prints its version
         try:
-            ti.init(**options)
+            ti.init(cpu_max_num_threads=workers, **options)
+            ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS
         except RuntimeError as error:
             reason = str(error).rpartition("] ")[2].rstrip(". ")
             raise GranflowError(f"Taichi cannot start: {reason}. Raise the memory limit of the process.") from None

@@ -65,7 +65,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     """
     if code == ABORT_WALL:
         return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken)
-    arrays = copy_to_host(state, FIELDS, 0, state.particles.capacity)
+    arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
     if code == ABORT_OVERLAP and step_taken:
         # The forces belong to the present positions, one step ahead of the time.

@@ -23,13 +23,12 @@ def build_integrate(state: State) -> Any:
     Requests a rebuild if a particle has moved by more than half the skin since the last one; aborts if a position is
     not finite or a displacement in one step exceeds `plan.travel_limit`.
 
-    Reads:   force, torque, mass, radius, fixed, position_at_rebuild
+    Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle
     """
-    plan, particles, control = state.plan, state.particles, state.control
-    features, chunk_size = plan.features, plan.chunk_size
-    mobility = build_mobility(state)
-    rebuild_limit, step_limit = (0.5 * plan.skin) ** 2, plan.travel_limit**2
+    particles, control, features = state.particles, state.control, state.plan.features
+    mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
+    rebuild_limit, step_limit = state.parameter("rebuild_limit_squared"), state.parameter("travel_limit_squared")
 
     @ti.func
     def request_abort(code, i):
@@ -38,8 +37,8 @@ def build_integrate(state: State) -> Any:
 
     @ti.func
     def integrate(chunk, count, dt):
-        rebuild = 0
-        for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+        rebuild, size, rebuild_above, abort_above = 0, chunk_size(), rebuild_limit(), step_limit()
+        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
@@ -57,12 +56,12 @@ def build_integrate(state: State) -> Any:
                 )
             displacement = position - particles.position_at_rebuild[i]
             displacement_squared = displacement.dot(displacement)
-            if displacement_squared > rebuild_limit:
+            if displacement_squared > rebuild_above:
                 rebuild = 1
-            elif not displacement_squared <= rebuild_limit:  # NaN fails both comparisons
+            elif not displacement_squared <= rebuild_above:  # NaN fails both comparisons
                 request_abort(ABORT_NOT_FINITE, i)
             # Above this limit a particle could pass another one, or a wall, between two force evaluations.
-            if step_displacement.dot(step_displacement) > step_limit:
+            if step_displacement.dot(step_displacement) > abort_above:
                 request_abort(ABORT_DISPLACEMENT, i)
         if rebuild == 1:
             control.rebuild_requested[0] = 1

@@ -30,14 +30,13 @@ def build_image_index(state: State) -> Any:
     Above and below refer to the gradient axis of a sheared box. Points are in m and may be outside the box by less than
     the skin.
     """
-    real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    _, gradient = _lees_edwards_axes(periodic_box)
-    half = 0.5 * float(periodic_box.width[gradient])
+    _, gradient = _lees_edwards_axes(state.plan.periodic_box)
+    width = state.parameter("box_width")
 
     @ti.func
     def image_index(one, other):
-        branch = one[gradient] - other[gradient]
-        return ti.cast(branch > real(half), ti.i32) - ti.cast(branch < -real(half), ti.i32)
+        branch, half = one[gradient] - other[gradient], 0.5 * width()[gradient]
+        return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
 
     return image_index
 
@@ -50,22 +49,22 @@ def build_minimum_image(state: State) -> Any:
     Reads:  image_offset
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    widths, sheared = [float(width) for width in periodic_box.width], periodic_box.image_motion is not None
+    width, sheared = state.parameter("box_width"), periodic_box.image_motion is not None
     flow, _ = _lees_edwards_axes(periodic_box)
     image_index, offset = build_image_index(state) if sheared else None, state.control.image_offset
 
     @ti.func
     def minimum_image(one, other, pose):
-        branch = one - other
+        branch, widths = one - other, width()
         if ti.static(sheared):
             # The flow axis needs rounding: with the offset, the distance can be more than one and a half widths.
             branch[flow] = branch[flow] - ti.cast(image_index(one, other), real) * offset[pose]
-            branch[flow] = branch[flow] - real(widths[flow]) * ti.round(branch[flow] / real(widths[flow]))
+            branch[flow] = branch[flow] - widths[flow] * ti.round(branch[flow] / widths[flow])
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
-            width, half = real(widths[axis]), real(0.5 * widths[axis])
+            half = 0.5 * widths[axis]
             # One width suffices: between rebuilds positions are outside the box by less than the skin.
-            above = ti.select(branch[axis] > half, width, 0.0 * width)
-            below = ti.select(branch[axis] < -half, width, 0.0 * width)
+            above = ti.select(branch[axis] > half, widths[axis], 0.0 * widths[axis])
+            below = ti.select(branch[axis] < -half, widths[axis], 0.0 * widths[axis])
             branch[axis] = branch[axis] - above + below
         return branch
 
@@ -82,7 +81,7 @@ def build_shift_by_images(state: State) -> Any:
     real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
     sheared = periodic_box.image_motion is not None
     flow, gradient = _lees_edwards_axes(periodic_box)
-    height = float(periodic_box.width[gradient])
+    width = state.parameter("box_width")
 
     @ti.func
     def shift_by_images(point, image_index, pose):
@@ -90,7 +89,7 @@ def build_shift_by_images(state: State) -> Any:
         if ti.static(sheared):
             image_count = ti.cast(image_index, real)
             wrapped[flow] = wrapped[flow] - image_count * offset[pose]
-            wrapped[gradient] = wrapped[gradient] - image_count * real(height)
+            wrapped[gradient] = wrapped[gradient] - image_count * width()[gradient]
         return wrapped
 
     return shift_by_images
@@ -123,22 +122,23 @@ def build_wrap_position(state: State) -> Any:
 
     Coordinates along axes that are not periodic are unchanged.
     """
-    real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
+    periodic_axes = state.plan.periodic_box.axes
+    low, width = state.parameter("domain_low"), state.parameter("box_width")
 
     @ti.func
     def wrap_position(point):
-        wrapped = point
-        for axis in ti.static(periodic_box.axes):
-            width = real(widths[axis])
-            wrapped[axis] = point[axis] - width * ti.floor((point[axis] - real(lows[axis])) / width)
+        wrapped, lows, widths = point, low(), width()
+        for axis in ti.static(periodic_axes):
+            wrapped[axis] = point[axis] - widths[axis] * ti.floor((point[axis] - lows[axis]) / widths[axis])
         return wrapped
 
     return wrap_position
 
 
 def build_wrap(state: State) -> Any:
-    """Kernel (count, pose, time_step): wrap all particles into the box; the energy they gain counts as boundary work.
+    """Kernel (chunks, count, pose, time_step): wrap all particles into the box.
+
+    The energy that they gain counts as boundary work:
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
 
@@ -147,15 +147,15 @@ def build_wrap(state: State) -> Any:
     """
     plan, particles, real = state.plan, state.particles, state.backend.real
     boundary_work: Any = state.control.boundary_work
-    wrap_position, stride, chunk_size = build_wrap_position(state), state.stride, plan.chunk_size
-    gravity, sheared = [float(g) for g in plan.gravity], plan.periodic_box.image_motion is not None
+    wrap_position, stride, chunk_size = build_wrap_position(state), state.stride, state.parameter("chunk_size")
+    gravity, sheared = state.parameter("gravity"), plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
         """Add the gain of potential energy, and of kinetic energy at the time of the positions."""
         mass = ti.cast(particles.mass[i], ti.f64)
-        gained = -mass * ti.Vector(gravity, dt=ti.f64).dot(ti.cast(shift, ti.f64))
+        gained = -mass * gravity().dot(ti.cast(shift, ti.f64))
         if ti.static(sheared):
             velocity_synchronous = ti.cast(
                 particles.velocity[i] + 0.5 * dt / particles.mass[i] * particles.force[i], ti.f64
@@ -167,11 +167,11 @@ def build_wrap(state: State) -> Any:
         boundary_work[chunk] = boundary_work[chunk] + gained
 
     @ti.kernel
-    def wrap(count: ti.i32, pose: ti.i32, dt: real):
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
+    def wrap(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
+        for task in range(chunks * stride):
             if task % stride == 0:
-                chunk = task // stride
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                chunk, size = task // stride, chunk_size()
+                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
                     before = particles.position[i]
                     velocity_shift = 0.0 * particles.velocity[i]
                     wrapped = before
@@ -194,20 +194,19 @@ def _build_cross_boundary(state: State) -> Any:
 
     Reads:  image_offset, image_speed
     """
-    real, position_real, periodic_box, control = (
+    real, control, low, width = (
         state.backend.real,
-        state.backend.position_real,
-        state.plan.periodic_box,
         state.control,
+        state.parameter("domain_low"),
+        state.parameter("box_width"),
     )
-    flow, gradient = _lees_edwards_axes(periodic_box)
-    low, width = float(periodic_box.low[gradient]), float(periodic_box.width[gradient])
+    flow, gradient = _lees_edwards_axes(state.plan.periodic_box)
 
     @ti.func
     def cross_boundary(point, pose):
-        image_count = ti.floor((point[gradient] - position_real(low)) / position_real(width))
+        image_count = ti.floor((point[gradient] - low()[gradient]) / width()[gradient])
         wrapped, velocity_shift = point, ti.Vector.zero(real, 3)
-        wrapped[gradient] = point[gradient] - position_real(width) * image_count
+        wrapped[gradient] = point[gradient] - width()[gradient] * image_count
         wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
         velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
         return wrapped, velocity_shift

@@ -10,11 +10,12 @@ from granflow.engine.clock import Clock
 from granflow.engine.field_block import FieldBlock, Fields
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
+from granflow.engine.parameters import Parameters
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH, history_capacity
+from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
 
@@ -32,7 +33,6 @@ class Particles(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(particle_arrays(plan), backend))
-        self.capacity = max(plan.particle_capacity, 1)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that are permuted with the particles at a neighbor-list rebuild."""
@@ -56,7 +56,6 @@ class CellSort(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(cell_arrays(plan), backend))
-        self.cell_capacity = plan.cell_capacity
 
 
 class NeighborList(Fields):
@@ -72,15 +71,15 @@ class NeighborList(Fields):
     A pair within a chunk is in one list, a pair across two chunks in both.
     """
 
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
-        fields = block.arrays(neighbor_arrays(plan, list_capacity_per_chunk), backend)
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
+        fields = block.arrays(neighbor_arrays(plan, capacities), backend)
         self.history = {name: fields.pop(f"history.{name}") for name in plan.history}
         self.saved = {name: fields.pop(f"saved.{name}") for name in plan.history}
         super().__init__(fields)
-        self.list_capacity_per_chunk = list_capacity_per_chunk
-        self.history_capacity_per_chunk = history_capacity(list_capacity_per_chunk)
-        self.capacity = plan.chunk_capacity * list_capacity_per_chunk
 
+
+BATCH = 128
+"""Number of contacts at which a batch is complete; no further neighbor list is added."""
 
 LANES = 16
 """Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
@@ -92,14 +91,17 @@ STAGGER = 24
 class PairBatch:
     """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
 
+    longest_list:  largest number of candidate pairs of one particle for which a batch suffices
+
     The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
     """
 
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
         features, real = plan.features, backend.real
         page = 4096 // 8
-        self.capacity = -(-(list_capacity_per_chunk + LANES) // page) * page + STAGGER
-        worker_parts = block.parts(backend.worker_count)
+        self.capacity = -(-capacities.batch // page) * page + STAGGER
+        self.longest_list = self.capacity - BATCH - LANES
+        worker_parts = block.parts(rounded_capacity(backend.worker_count, WORKERS))
 
         def columns(number: int, dtype: Any = real) -> list[Any]:
             return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
@@ -128,7 +130,7 @@ class Control(Fields):
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a chunk
+    list_length_needed:         largest number of entries of a chunk, increased by TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
@@ -149,7 +151,7 @@ class Control(Fields):
         self.list_length_needed = block.scalar(ti.i32, 1)
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
-        self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
+        self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
         self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
@@ -158,8 +160,11 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
+        rows, columns = plan.pair_constants.shape
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
-        self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
+        padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
+        padded[:rows] = plan.pair_constants
+        self.pair_constants.from_numpy(padded)
         if plan.law_parameters:
             self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
         self.abort_particle[0] = NO_PARTICLE
@@ -168,6 +173,8 @@ class Control(Fields):
 class State:
     """All device data of one plan.
 
+    capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
+    parameters:     numbers of the plan
     count:          number of particles
     clock:          simulated time
     wall_motions:   present motions of each wall
@@ -184,19 +191,22 @@ class State:
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self._built: dict[Any, Any] = {}
-        self._allocate(plan.list_capacity_per_chunk)
+        self.capacities = plan.capacities
+        self._allocate()
+        self.parameters.write(plan, self.capacities)
         self.walls.fill(plan)
         if self.mesh is not None:
             fill_mesh(self.mesh, plan)
         self.control.fill(plan)
 
-    def _allocate(self, list_capacity_per_chunk: int) -> None:
-        plan, backend, block = self.plan, self.backend, FieldBlock()
+    def _allocate(self) -> None:
+        plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock()
         self._block = block
+        self.parameters = Parameters(block, plan, capacities, backend)
         self.particles = Particles(block, plan, backend)
-        self.neighbors = NeighborList(block, plan, backend, list_capacity_per_chunk)
+        self.neighbors = NeighborList(block, plan, capacities, backend)
         batched = backend.on_cpu and plan.chunk_size > 1
-        self.batch: Any = PairBatch(block, plan, backend, list_capacity_per_chunk) if batched else None
+        self.batch: Any = PairBatch(block, plan, capacities, backend) if batched else None
         self.cell_sort = CellSort(block, plan, backend)
         self.walls = Walls(block, plan, backend)
         self.wall_dynamics: Any = WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
@@ -214,6 +224,10 @@ class State:
         """Number of chunks that contain particles."""
         return -(-self.count // self.plan.chunk_size)
 
+    def parameter(self, name: str) -> Any:
+        """Device function (): a parameter of the plan, see `Parameters`."""
+        return self.parameters.reader(name)
+
     def built(self, build: Callable[..., Built], *options: Any) -> Built:
         """Return `build(state, *options)`, built at first use, and again after the fields have been reallocated.
 
@@ -225,21 +239,23 @@ class State:
         found: Built = self._built[key]
         return found
 
-    def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
-        """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
+    def grow_neighbor_list(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        """Reallocate all fields with larger neighbor lists, build all kernels again, restore the values.
 
-        list_capacity_per_chunk:  new number of entries
-        build:                    builds the kernels; it may launch them on empty ranges, because the restored values
-                                  overwrite their output
+        capacities:  new lengths of the arrays
+        build:       builds the kernels; it may launch them on empty ranges, because the restored values overwrite their
+                     output
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self.free()
-        self._allocate(list_capacity_per_chunk)
+        self.capacities = capacities
+        self._allocate()
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
             padded = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
             padded[: len(values)] = values
             field.from_numpy(padded)
+        self.parameters.write(self.plan, capacities)
 
     def free(self) -> None:
         """Free all device memory."""

@@ -27,7 +27,7 @@ class Walls:
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        count = max(len(plan.walls), 1)
+        count = plan.capacities.walls
         self.kind = block.scalar(ti.i32, count)
         self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
         self.material = block.scalar(ti.i32, count)

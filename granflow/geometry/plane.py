@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from granflow.device_functions import ti
 from granflow.geometry.shape import (
     Shape,
     ShapeKind,
@@ -19,7 +20,6 @@ from granflow.geometry.shape import (
     make_shape,
     unit,
 )
-from granflow.kernel_language import ti
 
 
 @ti.func

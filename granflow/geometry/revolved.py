@@ -9,8 +9,8 @@ for each end the direction (r, z) of the competing face and 1 if this surface ow
 
 import numpy as np
 
+from granflow.device_functions import ti
 from granflow.geometry.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
-from granflow.kernel_language import ti
 
 FACET_COUNT = 64
 """Number of facets around the axis, for visualization."""

@@ -146,7 +146,7 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     """Rows of the memory estimate by part, and the total."""
-    list_entries, particles = plan.chunk_capacity * plan.list_capacity_per_chunk, plan.particle_capacity
+    list_entries, particles = plan.capacities.list_entries, plan.particle_capacity
     each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
     list_text = (

@@ -47,7 +47,7 @@ def refuse_too_many(plan: Plan) -> None:
 
     The message suggests a number of particles, rounded to two digits.
     """
-    list_entries = plan.chunk_capacity * plan.list_capacity_per_chunk
+    list_entries = plan.capacities.list_entries
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
         request = f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"

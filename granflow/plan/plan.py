@@ -14,7 +14,21 @@ from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep
-from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
+from granflow.plan.capacities import (
+    EXTRA_PER_PARTICLE,
+    MIN_CELLS,
+    MIN_CHUNKS,
+    MIN_LIST_ENTRIES,
+    MIN_PAIRS,
+    MIN_PARTICLES,
+    MIN_SIZE_CLASSES,
+    MIN_WALLS,
+    SHARE_AT_MESHES,
+    Capacities,
+    near_triangles,
+    neighbors_per_particle,
+    rounded_capacity,
+)
 from granflow.plan.features import Features, Reason
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.meshes import MeshNote
@@ -33,9 +47,6 @@ from granflow.scene.schema.run import Precision
 
 CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
-
-MIN_CELLS = 8192
-"""Smallest capacity of the cell grid."""
 
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""
@@ -177,6 +188,23 @@ class Plan:
             return int(2.0 * neighbors + at_meshes) + EXTRA_PER_PARTICLE
         neighbors += SHARE_AT_MESHES * at_meshes
         return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
+
+    @property
+    def capacities(self) -> Capacities:
+        """Lengths of the device arrays at the start."""
+        chunk_count = self.chunk_capacity
+        return Capacities(
+            particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
+            chunk_count=chunk_count,
+            chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
+            list_entries=rounded_capacity(chunk_count * self.list_capacity_per_chunk, MIN_LIST_ENTRIES),
+            cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
+            class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS) if self.class_cell_capacity else 0,
+            size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
+            walls=rounded_capacity(len(self.walls), MIN_WALLS),
+            measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS) if self.measured_walls else 0,
+            pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
+        )
 
     @property
     def cell_capacity(self) -> int:

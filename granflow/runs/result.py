@@ -5,14 +5,15 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
 from granflow.visible_text import readable
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
 _TOTAL = "wall_clock"
@@ -81,8 +82,11 @@ def write_result(directory: Path, result: Result) -> Path:
     return path
 
 
-def closing_table(result: Result, title: str = "Result") -> Table:
+def closing_table(result: Result, title: str = "Result") -> "Table":
     """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces, insertion."""
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")

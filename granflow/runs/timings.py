@@ -74,6 +74,7 @@ def collect_result(
         "time_step": engine.mean_time_step,
         "steps_per_second": engine.step_count / computing,
         "particle_steps_per_second": timing.particle_steps / computing,
+        "steps_per_second_of_wall_clock": engine.step_count / wall_clock.total(engine),
         "rebuild_count": float(timing.rebuild_count),
         "wall_clock": wall_clock.total(engine),
     }

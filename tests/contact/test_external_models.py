@@ -13,7 +13,6 @@ from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
@@ -21,6 +20,7 @@ from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.options import Amount, PairOption
 from granflow.contact.surface_law import RollingLaw
+from granflow.device_functions import ti
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.jsonschema import json_schema

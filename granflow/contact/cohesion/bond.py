@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, ContactState, HistoryField
+from granflow.device_functions import ti
 
 
 @ti.func

@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption
+from granflow.device_functions import ti
 
 LINEAR, SQUARE = 1.05, 2.5
 """Coefficients of u and u^2 in the force (Willett 2000)."""

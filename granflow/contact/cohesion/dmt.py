@@ -4,11 +4,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, ContactState
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import WORK_OF_ADHESION
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import WORK_OF_ADHESION
 from granflow.contact.power import power
+from granflow.device_functions import ti
 
 SNAP_OFF = 0.75 * 0.25 ** (1.0 / 3.0)
 """Distance over d_s at which the contact snaps off: y - y^4 at y^3 = 1/4."""
@@ -49,13 +49,13 @@ def length_scale(constants, contact):
 
 @ti.func
 def root_of_contact_radius(d):
-    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method; at snap-off below it.
+    """y of the stable contact: the largest root of y^4 - y = d, by Ferrari's method; that of snap-off beyond it.
 
         m^3 + d m - 1/8 = 0        y = (sqrt(2 m) + sqrt(sqrt(2 / m) - 2 m)) / 2
 
     m = A - B with A^3 - B^3 = 1/8 and A B = d/3, as a quotient without cancellation.
     """
-    third = d / 3.0
+    third = ti.max(d, -SNAP_OFF) / 3.0
     a = power(0.0625 + ti.sqrt(ti.max(1.0 / 256.0 + third * third * third, 0.0)), 1.0 / 3.0)
     b = third / a
     m = 0.125 / (a * a + third + b * b)

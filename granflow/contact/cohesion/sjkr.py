@@ -9,10 +9,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, ContactState
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption
+from granflow.device_functions import ti
 
 CUTOFF = 30.0
 """Distance over s_0 beyond which the force is 0; it is 0.1 % of the force in contact there."""

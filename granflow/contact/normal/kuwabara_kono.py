@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cache
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
@@ -18,6 +17,7 @@ from granflow.contact.normal.hertz import HertzSpring
 from granflow.contact.options import Amount
 from granflow.contact.power import power
 from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import ti
 
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact.collision import ClosedFormCollision
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.luding_collision import LudingCollision
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw
+from granflow.device_functions import ti
 
 
 @ti.func

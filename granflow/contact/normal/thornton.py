@@ -13,11 +13,11 @@ from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
 from granflow.contact.collision import ClosedFormCollision
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
+from granflow.device_functions import ti
 
 
 @ti.func

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
@@ -33,6 +32,7 @@ from granflow.contact.zhou_unloading import (
     unloading_energy,
     unloading_force,
 )
+from granflow.device_functions import ti
 
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
 

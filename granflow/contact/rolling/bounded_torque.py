@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.surface_law import RollingLaw, SurfaceState
+from granflow.device_functions import ti
 
 STOPPED_SHARE = 0.125
 """Largest fraction of the relative rolling rate that one contact removes in one step."""

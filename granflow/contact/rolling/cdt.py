@@ -5,11 +5,11 @@ CDT is discontinuous at zero rate; at small rates the bound of `bounded_torque` 
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
 from granflow.contact.rolling.bounded_torque import BoundedTorque
 from granflow.contact.surface_law import SurfaceState
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

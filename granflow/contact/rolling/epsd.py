@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
@@ -21,6 +20,7 @@ from granflow.contact.tangential.spring import (
     rotated_displacement,
     spring_loss,
 )
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

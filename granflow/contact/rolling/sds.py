@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION, Amount, PairOption
 from granflow.contact.rolling.epsd import Epsd
 from granflow.contact.surface_law import SurfaceState
+from granflow.device_functions import ti
 
 BELOW_LIMIT = 1.0 - 1e-6
 """Torque over the limit up to which the spring counts as elastic, so that rounding does not decide."""

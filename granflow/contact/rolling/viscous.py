@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption
 from granflow.contact.rolling.bounded_torque import BoundedTorque
 from granflow.contact.surface_law import SurfaceState
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.device import ti
 from granflow.contact.law import HistoryField
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
@@ -19,6 +18,7 @@ from granflow.contact.tangential.spring import (
     rotated_displacement,
     spring_loss,
 )
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)

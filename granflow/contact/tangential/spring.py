@@ -7,7 +7,7 @@ Cummins & Cleary 2013). The spring therefore never generates energy.
 
 import numpy as np
 
-from granflow.contact.device import ti
+from granflow.device_functions import ti
 
 
 @ti.func

@@ -63,6 +63,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
     read_history, write_history = build_read_history(state), build_write_history(state)
     pair_force, add_to_accounting = build_pair_force(state.plan, False), _build_add_to_accounting(state, with_wall)
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
@@ -73,9 +74,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             check_overlap(i, j, kinematics.overlap)
             if ti.static(transfers):
                 acquire_history(i, list_index, j, pose)
-            found = pair_force(
-                constants, bodies, kinematics, angular_velocities_of(i, j, pose), read_history(list_index), dt
-            )
+            angular_velocities, history = angular_velocities_of(i, j, pose), read_history(list_index)
+            found = pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step())
             force, torque = found.force, found.torque
             write_history(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
@@ -88,7 +88,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
                 released = release_history(i, list_index, j, pose)
             if released == 0:
                 energy_lost = end_contact(list_index, constants, bodies, dt)
-            add_plastic_loss(chunk, i, j, energy_lost)
+            add_plastic_loss(chunk, j, energy_lost)
         return force, torque
 
     return contact
@@ -145,14 +145,14 @@ def _build_check_overlap(state: State, with_wall: bool) -> Any:
     Reads:   radius
     Writes:  abort, abort_particle
     """
-    particles, control, max_overlap = state.particles, state.control, state.plan.max_overlap
+    particles, control, max_overlap = state.particles, state.control, state.parameter("max_overlap")
 
     @ti.func
     def check_overlap(i, j, overlap):
         radius_min = particles.radius[i]
         if ti.static(not with_wall):
             radius_min = ti.min(radius_min, particles.radius[j])
-        if overlap > max_overlap * radius_min:
+        if overlap > max_overlap() * radius_min:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
@@ -182,7 +182,7 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            add_losses(chunk, weight(i, j), found, wall_work(i, j, pose, found, dt))
+            add_losses(chunk, weight(chunk, j), found, wall_work(i, j, pose, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
@@ -244,8 +244,8 @@ def build_forces(state: State) -> Any:
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
     plan, particles, neighbors = state.plan, state.particles, state.neighbors
-    features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
-    gravity, batched = [float(g) for g in plan.gravity], state.batch is not None
+    features, real, chunk_size = plan.features, state.backend.real, state.parameter("chunk_size")
+    gravity, batched = state.parameter("gravity"), state.batch is not None
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -254,9 +254,9 @@ def build_forces(state: State) -> Any:
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def particle_forces(chunk, i, pose, dt):
+    def particle_forces(chunk, i, acceleration, pose, dt):
         """Weight, wall forces and, without batches, particle contact forces."""
-        force = particles.mass[i] * ti.Vector(gravity, dt=real)
+        force = particles.mass[i] * acceleration
         torque = 0.0 * force
         if ti.static(plan.has_walls):
             for pass_index in range(pass_count):
@@ -278,11 +278,12 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
-        first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)
+        size, acceleration = chunk_size(), ti.cast(gravity(), real)
+        first, last = chunk * size, ti.min((chunk + 1) * size, count)
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, last):
-            particle_forces(chunk, i, pose, dt)
+            particle_forces(chunk, i, acceleration, pose, dt)
         if ti.static(batched):
             batched_forces(worker, chunk, first, last, pose, dt)
 

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.field_block import FieldBlock
+import numpy as np
+
 from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
 from granflow.engine.neighbor.contact_history import build_read_history
@@ -20,55 +21,60 @@ class ContactStatistics:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.block = FieldBlock()
-        self.statistics = self.block.vector(
-            ti.f64 if state.backend.precision != "f32" else ti.f32, state.plan.chunk_capacity, count=len(STATISTICS)
-        )
-        self.block.finish()
-        self._measure = _build_measure(state, self.statistics)
+        self._measure = _build_measure(state)
 
-    def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination_number`."""
+    def measure(self, pose: int) -> dict[str, float]:
+        """Statistics of all contacts by the names of STATISTICS; fills `coordination_number`.
+
+        pose:  index of the wall poses at the present time, see `Stepper.place_walls`
+        """
         state = self.state
         if not state.count:
             return dict.fromkeys(STATISTICS, 0.0)
-        self._measure(state.chunk_count, state.count, state.clock.time_step)
-        chunks = self.statistics.to_numpy()[: state.chunk_count]
+        chunks = np.empty(
+            (state.chunk_count, len(STATISTICS)), np.float32 if state.backend.precision == "f32" else float
+        )
+        self._measure(state.chunk_count, state.count, pose, state.clock.time_step, chunks)
         values = dict(zip(STATISTICS, chunks.sum(axis=0).tolist(), strict=True))
         values["overlap_largest"] = float(chunks[:, OVERLAP_LARGEST].max())
         return values
 
 
-def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
-    """Kernel (chunks, count, time_step): statistics of each chunk; a pair in two lists counts half in each.
+def _build_measure(state: State) -> Callable[..., None]:
+    """Kernel (chunks, count, pose, time_step, statistics): statistics (chunks, len(STATISTICS)) of each chunk.
+
+    A pair in two lists counts half in each.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  coordination_number, statistics
     """
     particles, neighbors = state.particles, state.neighbors
-    real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
+    real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
     any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
 
+    real_sum = ti.f32 if state.backend.precision == "f32" else ti.f64
+    external: Any = ti.types.ndarray()
+
     @ti.kernel
-    def measure(chunks: ti.i32, count: ti.i32, dt: real):
+    def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, statistics: external):
         for i in range(count):
             particles.coordination_number[i] = 0
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
-                found = ti.Vector.zero(statistics.dtype, size)
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                found = ti.Vector.zero(real_sum, size)
+                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
-                        _normal, contact = any_kinematics(i, j, 0, dt)
+                        _normal, contact = any_kinematics(i, j, pose, dt)
                         if in_range(i, j, contact.overlap):
-                            share, constants = weight(i, j), pair_constants(i, j)
+                            share, constants = weight(chunk, j), pair_constants(i, j)
                             elastic, plastic = energies(list_index, constants, contact)
                             found[ELASTIC] += share * elastic
                             found[PLASTIC] += share * plastic
                         if contact.overlap > 0.0:
-                            share = weight(i, j)
+                            share = weight(chunk, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
@@ -79,7 +85,8 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
                             particles.coordination_number[i] += 1
                             if share == 1.0 and j >= 0:
                                 particles.coordination_number[j] += 1
-                statistics[chunk] = found
+                for c in ti.static(range(size)):
+                    statistics[chunk, c] = found[c]
 
     return measure
 

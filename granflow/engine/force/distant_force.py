@@ -59,7 +59,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
             energy_lost = end_surface_contact(list_index, constants, bodies, history, dt)
         else:
             energy_lost = end_contact(list_index, constants, bodies, dt)
-        add_plastic_loss(chunk, i, j, energy_lost)
+        add_plastic_loss(chunk, j, energy_lost)
         return attraction
 
     return distant_force

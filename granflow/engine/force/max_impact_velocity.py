@@ -19,7 +19,7 @@ class MaxImpactVelocity:
     def __init__(self, state: State) -> None:
         self.state = state
         self.block = FieldBlock()
-        self._squares = self.block.scalar(state.backend.real, state.plan.chunk_capacity)
+        self._squares = self.block.scalar(state.backend.real, state.plan.capacities.chunks)
         self.block.finish()
         self._scan = _build_scan(state, self._squares)
 
@@ -39,7 +39,7 @@ def _build_scan(state: State, squares: Any) -> Any:
     Writes:  squares
     """
     neighbors, stride, real = state.neighbors, state.stride, state.backend.real
-    chunk_size, energy_velocity_squared = state.plan.chunk_size, _build_square(state)
+    chunk_size, energy_velocity_squared = state.parameter("chunk_size"), _build_square(state)
 
     @ti.kernel
     def scan(chunks: ti.i32, count: ti.i32, dt: real):
@@ -47,7 +47,7 @@ def _build_scan(state: State, squares: Any) -> Any:
             if task % stride == 0:
                 chunk = task // stride
                 largest = ti.cast(0.0, real)
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         largest = ti.max(largest, energy_velocity_squared(i, neighbors.partner[list_index], dt))
                 squares[chunk] = largest

@@ -158,16 +158,16 @@ def build_any_kinematics(state: State) -> Any:
 
 
 def build_weight(state: State) -> Any:
-    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two.
+    """Device function (chunk, j): 1 for a pair in one neighbor list, 1/2 for a pair in two; j is the partner.
 
-    Sums over list entries with this weight count each contact once.
+    Sums over list entries of the chunk with this weight count each contact once.
     """
-    chunk_size = state.plan.chunk_size
+    chunk_size = state.parameter("chunk_size")
 
     @ti.func
-    def weight(i, j):
-        share = 1.0
-        if j >= 0 and i // chunk_size != j // chunk_size:
+    def weight(chunk, j):
+        share, first = 1.0, chunk * chunk_size()
+        if j >= 0 and (j < first or j >= first + chunk_size()):
             share = 0.5
         return share
 
@@ -186,7 +186,7 @@ def build_boundary_work(state: State) -> Any:
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        work = weight(i, j) * dt * force.dot(image_velocity(i, j, pose))
+        work = weight(chunk, j) * dt * force.dot(image_velocity(i, j, pose))
         boundary_work[chunk] = boundary_work[chunk] + ti.cast(work, ti.f64)
 
     return add_boundary_work
@@ -200,13 +200,13 @@ def build_pair_number(state: State) -> Any:
     Reads:  material of particles and walls
     """
     plan, particles, walls = state.plan, state.particles, state.walls
-    features, wall_of = plan.features, build_wall_of(state)
+    features, wall_of, material_count = plan.features, build_wall_of(state), state.parameter("material_count")
 
     @ti.func
     def pair_number(i, j):
         number = 0
         if ti.static(not features.one_material):
-            number = particles.material[i] * plan.material_count
+            number = particles.material[i] * material_count()
             if j >= 0:
                 number += particles.material[j]
         if ti.static(plan.has_walls):

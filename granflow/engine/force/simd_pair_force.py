@@ -32,12 +32,9 @@ from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
-from granflow.engine.state import LANES, State
+from granflow.engine.state import BATCH, LANES, State
 from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
-
-BATCH = 128
-"""Number of contacts at which a batch is complete; no further neighbor list is added."""
 
 
 @ti.func
@@ -87,35 +84,29 @@ def _build_collect(state: State) -> Any:
     Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
              at a distance, force
     """
-    plan, particles, neighbors, control, batch = (
-        state.plan,
-        state.particles,
-        state.neighbors,
-        state.control,
-        state.batch,
-    )
+    particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
     real, has_history = state.backend.real, bool(neighbors.history)
     in_contact, end_contact = build_in_contact(real), build_end_contact(state)
     effective, minimum_image = build_effective(state, False), build_minimum_image(state)
     pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
-    acts_at_distance = plan.laws.acts_at_distance
+    max_overlap, acts_at_distance = state.parameter("max_overlap"), state.plan.laws.acts_at_distance
     attract = _build_attract(state) if acts_at_distance else None
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
         energy_lost = end_contact(list_index, pair_constants(i, j), effective(i, j), dt)
-        add_plastic_loss(chunk, i, j, energy_lost)
+        add_plastic_loss(chunk, j, energy_lost)
 
     @ti.func
-    def check_overlap(i, square, reach, radius_min):
-        distance_limit = reach - plan.max_overlap * radius_min
+    def check_overlap(i, square, reach, overlap_limit):
+        distance_limit = reach - overlap_limit
         if square < distance_limit * distance_limit:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
     def collect(worker, chunk, i, begin, first, last, pose, dt):
-        position, radius = particles.position[i], particles.radius[i]
+        position, radius, overlap_ratio = particles.position[i], particles.radius[i], max_overlap()
         end = begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
             j = neighbors.partner[list_index]
@@ -130,7 +121,8 @@ def _build_collect(state: State) -> Any:
             square, reach = branch.dot(branch), radius + radius_partner
             near = in_contact(square, reach)
             end += ti.cast(near, ti.i32)
-            check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))
+            radius_min = ti.select(radius < radius_partner, radius, radius_partner)
+            check_overlap(i, square, reach, overlap_ratio * radius_min)
             if ti.static(acts_at_distance):
                 if not near:
                     attract(chunk, i, j, list_index, branch, reach, first, last, pose, dt)
@@ -173,7 +165,7 @@ def _build_attract(state: State) -> Any:
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(has_history):
-            add_plastic_loss(chunk, i, j, end_contact(list_index, constants, effective(i, j), dt))
+            add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
 
     return attract
 
@@ -314,7 +306,7 @@ def _build_evaluate(state: State) -> Any:
     slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
     sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
     load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of = build_constants(plan.laws)
+    constants_of, longest_time_step = build_constants(plan.laws), state.parameter("longest_time_step")
 
     @ti.func
     def kinematics_of(worker, entry, dt):
@@ -340,6 +332,7 @@ def _build_evaluate(state: State) -> Any:
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
         shared, parameters = control.pair_constants[0], control.law_parameters[0]
+        longest = longest_time_step()
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
@@ -351,6 +344,7 @@ def _build_evaluate(state: State) -> Any:
                 load_angular_velocities(worker, entry),
                 load_history(worker, entry),
                 dt,
+                longest,
             )
             store_results(worker, entry, found)
 
@@ -388,8 +382,8 @@ def _build_scatter(state: State) -> Any:
                 history[slot][list_index][k] = batch.history[slot][k][worker, entry]
 
     @ti.func
-    def add_losses(worker, chunk, i, j, entry):
-        share = weight(i, j)
+    def add_losses(worker, chunk, j, entry):
+        share = weight(chunk, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
             control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
 
@@ -407,7 +401,7 @@ def _build_scatter(state: State) -> Any:
                     particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
-                add_losses(worker, chunk, i, j, entry)
+                add_losses(worker, chunk, j, entry)
                 if ti.static(features.lees_edwards):
                     add_boundary_work(chunk, i, j, force, pose, dt)
 

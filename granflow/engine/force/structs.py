@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
-from granflow.contact.device import at_compile_time
 from granflow.contact.laws import ContactLaws
+from granflow.device_functions import at_compile_time
 from granflow.kernel_language import ti
 
 

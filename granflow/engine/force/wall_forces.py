@@ -47,5 +47,6 @@ def wall_impulses(state: State) -> dict[str, np.ndarray]:
     """
     if state.control.impulses is None:
         return {}
-    sums = state.control.impulses.to_numpy().sum(axis=0)
-    return dict(zip(state.plan.measured_walls, sums, strict=True))
+    names = state.plan.measured_walls
+    sums = state.control.impulses.to_numpy().sum(axis=0)[: len(names)]
+    return dict(zip(names, sums, strict=True))

@@ -67,14 +67,14 @@ def build_class_lists(state: State) -> Callable[..., None]:
     Reads:   position, radius
     Writes:  class_start, class_order
     """
-    particles, sorting, real = state.particles, state.cell_sort, state.backend.real
-    uppers = state.plan.size_classes[:-1]
+    particles, sorting = state.particles, state.cell_sort
+    class_count = state.parameter("class_count")
 
     @ti.func
     def cell_of(i, cells):
         group = 0
-        for upper in ti.static(uppers):
-            group += ti.cast(particles.radius[i] > real(upper), ti.i32)
+        for smaller in range(class_count() - 1):
+            group += ti.cast(particles.radius[i] > sorting.radius[smaller], ti.i32)
         cell = cell_number(cell_of_point(sorting, group, particles.position[i]), sorting.cells[group])
         return sorting.first_cell[group] + cell
 

@@ -91,15 +91,15 @@ def build_end_contact(state: State) -> Any:
 
 
 def build_add_plastic_loss(state: State) -> Any:
-    """Device function (chunk, i, j, energy [J]): add the plastic work of a contact that has ended.
+    """Device function (chunk, j, energy [J]): add the plastic work of a contact that has ended.
 
     Writes:  losses
     """
     losses, weight, energy_budget = state.control.losses, build_weight(state), state.plan.features.energy_budget
 
     @ti.func
-    def add_plastic_loss(chunk, i, j, energy_lost):
+    def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            losses[chunk][PLASTIC] = losses[chunk][PLASTIC] + weight(i, j) * energy_lost
+            losses[chunk][PLASTIC] = losses[chunk][PLASTIC] + weight(chunk, j) * energy_lost
 
     return add_plastic_loss

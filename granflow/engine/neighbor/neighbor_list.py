@@ -16,36 +16,49 @@ from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 from granflow.kernel_language import ti
 
+TOO_LONG = 2**30
+"""Added to the length of a chunk in which the list of a particle is too long for a batch."""
+
+NO_LIMIT = 2**31 - 1
+"""Length of a list without batches."""
+
 
 def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Kernel (count, skin, pose): fill the neighbor lists with all particles and walls nearer than the skin [m].
+    """Kernel (chunks, count, skin, pose): fill the neighbor lists with all bodies nearer than the skin [m].
 
     `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
-    repeats the kernel with a larger capacity.
+    repeats the kernel with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
 
     Reads:   position, radius, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed,
              position_at_rebuild, rebuild_due, rebuild_requested
     """
     particles, neighbors, control, stride = state.particles, state.neighbors, state.control, state.stride
-    real, chunk_size, lists = state.backend.position_real, state.plan.chunk_size, NeighborListFill(state)
-    list_capacity = neighbors.list_capacity_per_chunk
+    real, chunk_size, lists = state.backend.position_real, state.parameter("chunk_size"), NeighborListFill(state)
+    list_capacity, longest_allowed = state.parameter("list_capacity"), NO_LIMIT
+    if state.batch is not None:
+        longest_allowed = state.batch.longest_list
 
     @ti.kernel
-    def fill_neighbor_list(count: ti.i32, skin: real, pose: ti.i32):
+    def fill_neighbor_list(chunks: ti.i32, count: ti.i32, skin: real, pose: ti.i32):
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
         control.list_length_needed[0] = 0
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
+        for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
-                list_index = chunk * list_capacity
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                first, end = chunk * chunk_size(), (chunk + 1) * chunk_size()
+                begin = chunk * list_capacity()
+                limit, list_index, longest = begin + list_capacity(), begin, 0
+                for i in range(first, ti.min(end, count)):
                     particles.position_at_rebuild[i] = particles.position[i]
                     neighbors.list_begin[i] = list_index
-                    list_index = lists.fill(ti.Struct(i=i, chunk=chunk, skin=skin, pose=pose), list_index)
+                    owner = ti.Struct(i=i, first=first, end=end, limit=limit, skin=skin, pose=pose)
+                    list_index = lists.fill(owner, list_index)
                     neighbors.list_end[i] = list_index
-                ti.atomic_max(control.list_length_needed[0], list_index - chunk * list_capacity)
+                    longest = ti.max(longest, list_index - neighbors.list_begin[i])
+                excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
+                ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
 
     return fill_neighbor_list
 
@@ -53,7 +66,8 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
-    `owner`, a struct: index `i` of the particle, its `chunk`, the `skin` [m] and the `pose` of the walls.
+    `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices of the
+    chunk, the `skin` [m] and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
@@ -62,11 +76,15 @@ class NeighborListFill:
         self.state, self.plan, self.mesh = state, plan, state.mesh
         self.particles, self.neighbors, self.sorting = state.particles, state.neighbors, state.cell_sort
         self.sheared, self.by_class = plan.features.lees_edwards, state.cell_sort.class_order is not None
-        self.image_range, self.class_count = int(plan.features.lees_edwards), len(plan.size_classes)
+        self.image_range, self.class_count = int(plan.features.lees_edwards), state.parameter("class_count")
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry, self.can_touch, self.wall_count = WallGeometry(state), build_can_touch(state), len(plan.walls)
+        self.geometry, self.can_touch, self.wall_count = (
+            WallGeometry(state),
+            build_can_touch(state),
+            state.parameter("wall_count"),
+        )
         self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
         self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
         self.image_index = build_image_index(state)
@@ -75,14 +93,14 @@ class NeighborListFill:
     def fill(self, owner: ti.template(), list_index):
         """Append walls, then particles: contact forces evaluate the two kinds in separate loops."""
         list_end = list_index
-        if ti.static(self.wall_count > 0):
+        if ti.static(self.plan.has_walls):
             list_end = self._append_walls(owner, list_end)
         self.neighbors.list_walls_end[owner.i] = list_end
         return self._append_particles(owner, list_end)
 
     @ti.func
     def _append(self, owner: ti.template(), list_index, j):
-        if list_index < (owner.chunk + 1) * self.neighbors.list_capacity_per_chunk:
+        if list_index < owner.limit:
             self.neighbors.partner[list_index] = j
             if ti.static(len(self.neighbors.history) > 0):
                 self.restore_history(list_index, owner.i, j)
@@ -93,7 +111,7 @@ class NeighborListFill:
         """Append the walls, and the triangles of meshes, within the skin."""
         position, reach = self.particles.position[owner.i], self.particles.radius[owner.i] + owner.skin
         list_end = list_index
-        for w in range(self.wall_count):
+        for w in range(self.wall_count()):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
                     list_end = self._append_triangles(owner, list_end, w)
@@ -110,7 +128,7 @@ class NeighborListFill:
         for k in range(begin, end):
             t = self.mesh.cell_triangles[k]
             if may_own(self.mesh, t, local, owner.skin) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
-                list_end = self._append(owner, list_end, -1 - self.wall_count - t)
+                list_end = self._append(owner, list_end, -1 - self.wall_count() - t)
         return list_end
 
     @ti.func
@@ -118,7 +136,7 @@ class NeighborListFill:
         """Append partners from the cells within reach, class by class; separately for each image along a gradient."""
         list_end, position = list_index, self.particles.position[owner.i]
         if ti.static(self.by_class):
-            for grid in range(self.class_count):
+            for grid in range(self.class_count()):
                 reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + owner.skin
                 if ti.static(self.sheared):
                     reach += owner.skin
@@ -155,9 +173,8 @@ class NeighborListFill:
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
         list_end, i = list_index, owner.i
-        first, last = owner.chunk * self.plan.chunk_size, (owner.chunk + 1) * self.plan.chunk_size
         # A half list within a chunk, a full list across chunks: no two workers write to the same particle.
-        if j > i or j < first or j >= last:
+        if j > i or j < owner.first or j >= owner.end:
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
             reach = self.particles.radius[i] + self.particles.radius[j] + owner.skin

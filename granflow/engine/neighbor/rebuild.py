@@ -5,7 +5,7 @@ from collections.abc import Callable
 from granflow.engine.neighbor.cell_grid import update_cell_grids
 from granflow.engine.neighbor.cell_sort import build_bounds, build_class_lists, build_reorder, build_sort
 from granflow.engine.neighbor.deletion import check_coordinates
-from granflow.engine.neighbor.neighbor_list import build_neighbor_list
+from granflow.engine.neighbor.neighbor_list import TOO_LONG, build_neighbor_list
 from granflow.engine.neighbor.saved_history import build_save_history
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
@@ -19,10 +19,11 @@ class NeighborListRebuild:
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
                  deleted
-    grow:        increases the list capacity per chunk to at least a number of entries and compiles all kernels again
+    grow:        increases the list entries per chunk, and the batch, to at least these numbers and compiles all kernels
+                 again
     """
 
-    def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int], None]) -> None:
+    def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]) -> None:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
 
     def compile(self) -> None:
@@ -35,14 +36,14 @@ class NeighborListRebuild:
         self._save = build_save_history(state) if state.neighbors.history else None
         self._bounds(0)
         if self._wrap is not None:
-            self._wrap(0, 0, 1.0)
+            self._wrap(0, 0, 0, 1.0)
         self._sort(0, 0)
         if self._sort_classes is not None:
             self._sort_classes(0, 0)
         self._reorder(0)
-        self._fill(0, 0.0, 0)
+        self._fill(0, 0, 0.0, 0)
         if self._save is not None:
-            self._save(0)
+            self._save(0, 0)
 
     def run(self, pose: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
@@ -65,7 +66,7 @@ class NeighborListRebuild:
         """
         state = self._state
         if self._wrap is not None:
-            self._wrap(state.count, pose, state.clock.time_step)
+            self._wrap(state.chunk_count, state.count, pose, state.clock.time_step)
         self._bounds(state.count)
         if state.plan.domain.on_exit == "expand":
             check_coordinates(state)
@@ -82,17 +83,19 @@ class NeighborListRebuild:
     def _save_history(self) -> None:
         """Copy the contact histories to `saved`; increase the list capacity and repeat if they do not fit."""
         while self._save is not None:
-            self._save(self._state.count)
+            self._save(self._state.chunk_count, self._state.count)
             needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.neighbors.history_capacity_per_chunk:
+            if needed <= self._state.capacities.saved_entries_per_chunk:
                 return
-            self._grow(list_capacity_for(needed))
+            self._grow(list_capacity_for(needed), 0)
 
     def _fill_lists(self, pose: int) -> None:
         """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
         while True:
-            self._fill(self._state.count, self._state.plan.skin + self._state.plan.laws.range, pose)
+            plan, count = self._state.plan, self._state.count
+            self._fill(self._state.chunk_count, count, plan.skin + plan.laws.range, pose)
             needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.neighbors.list_capacity_per_chunk:
+            if needed <= self._state.capacities.list_entries_per_chunk:
                 return
-            self._grow(needed)
+            too_long, length = divmod(needed, TOO_LONG)
+            self._grow(length, length * too_long)

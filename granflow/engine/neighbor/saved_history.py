@@ -7,8 +7,8 @@ from granflow.engine.state import State
 from granflow.kernel_language import ti
 
 
-def build_save_history(state: State) -> Callable[[int], None]:
-    """Kernel (count): copy history entries to `saved`, where `restore_history` finds them.
+def build_save_history(state: State) -> Callable[[int, int], None]:
+    """Kernel (chunks, count): copy history entries to `saved`, where `restore_history` finds them.
 
     `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
     the host repeats the kernel with a larger capacity.
@@ -17,7 +17,7 @@ def build_save_history(state: State) -> Callable[[int], None]:
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
     neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
-    chunk_size, history_capacity = state.plan.chunk_size, neighbors.history_capacity_per_chunk
+    chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
 
     @ti.func
     def save_entry(list_index, saved_index):
@@ -26,21 +26,22 @@ def build_save_history(state: State) -> Callable[[int], None]:
             neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
 
     @ti.kernel
-    def save_history(count: ti.i32):
+    def save_history(chunks: ti.i32, count: ti.i32):
         state.control.list_length_needed[0] = 0
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
+        for task in range(chunks * stride):
             if task % stride == 0:
-                chunk = task // stride
-                saved_index = chunk * history_capacity
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                chunk, size = task // stride, chunk_size()
+                begin = chunk * saved_capacity()
+                limit, saved_index = begin + saved_capacity(), begin
+                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
                     neighbors.list_begin_before[i] = saved_index
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         if neighbors.in_contact[list_index] == 1:
-                            if saved_index < (chunk + 1) * history_capacity:
+                            if saved_index < limit:
                                 save_entry(list_index, saved_index)
                             saved_index += 1
                     neighbors.list_end_before[i] = saved_index
-                ti.atomic_max(state.control.list_length_needed[0], saved_index - chunk * history_capacity)
+                ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
 
     return save_history
 
@@ -53,7 +54,7 @@ def build_restore_history(state: State) -> Any:
     Reads:   order, saved, partner_saved
     Writes:  history, in_contact
     """
-    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
+    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
     names = list(neighbors.history)
     is_vector = {
         name: [each.size > 1 for each in state.plan.laws.history[name] for _ in range(each.size)] for name in names
@@ -76,7 +77,7 @@ def build_restore_history(state: State) -> Any:
             j_before = sorting.order[j]
         source = find_saved(i_before, j_before)
         sign = 1.0
-        if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
+        if source < 0 and j >= 0 and i_before // chunk_size() == j_before // chunk_size():
             source = find_saved(j_before, i_before)
             sign = -1.0
         neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
