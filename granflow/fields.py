@@ -231,7 +231,7 @@ TOTAL_QUANTITIES = _by_name(
             "energy_error",
             "",
             "1",
-            "residual of the energy budget over the largest energy input so far (docs/energy.md)",
+            "residual of the energy budget over the largest energy input so far",
         ),
     )
 )

@@ -122,6 +122,13 @@ def test_script_parses_on_python_3_7():
     ast.parse((ROOT / "tools" / "dev.py").read_text(), feature_version=(3, 7))
 
 
+def test_docs_are_built_with_their_extras(dev, monkeypatch):
+    assert set_up(dev, "docs")[-1] == "[docs,plot]"
+    monkeypatch.chdir(dev.ROOT)
+    command = dev.command_of("docs", ["--quiet"])
+    assert command[1:] == ["-m", "mkdocs", "build", "--strict", "--config-file", "docs/mkdocs.yml", "--quiet"]
+
+
 @pytest.mark.parametrize(("arguments", "status"), [([], 2), (["bake"], 2), (["--help"], 0)])
 def test_usage_is_printed_without_a_known_verb(dev, arguments, status, capsys):
     assert dev.main(arguments) == status

@@ -5,6 +5,7 @@
     python3 tools/dev.py slow [arguments of pytest]      tests that take minutes
     python3 tools/dev.py gpu-test [arguments of pytest]  tests on Vulkan; prints the missing packages
     python3 tools/dev.py check                           lint, format, types, layers, vocabulary
+    python3 tools/dev.py docs                            build the documentation site into out/site
 
 The first call installs the versions pinned in constraints.txt; later calls install nothing.
 """
@@ -26,8 +27,9 @@ EXTRAS = {
     "run": (),
     "test": ("dev",),
     "check": ("dev",),
-    "slow": ("dev", "plot", "sweep", "cluster", "calibrate"),
+    "slow": ("dev", "docs", "plot", "sweep", "cluster", "calibrate"),
     "gpu-test": ("dev", "quadrants"),
+    "docs": ("docs", "plot"),
 }
 
 
@@ -50,9 +52,11 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
         "slow": ["-m", "pytest", "-m", "slow", "--timeout=1800", *rest],
         "gpu-test": ["-m", "pytest", "-m", "gpu and not slow", "-rs", "tests/gpu", *rest],
         "check": [str(ROOT / "tools" / "check.py"), *rest],
+        "docs": ["-m", "mkdocs", "build", "--strict", "--config-file", "docs/mkdocs.yml", *rest],
     }
     if verb != "run":
         os.chdir(str(ROOT))
+    os.environ.setdefault("NO_MKDOCS_2_WARNING", "true")  # the versions are pinned below MkDocs 2
     return [str(environment_python()), *commands[verb]]
 
 

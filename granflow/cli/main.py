@@ -12,6 +12,7 @@ from granflow.cli.analyze import add_analyze
 from granflow.cli.beverloo import add_beverloo
 from granflow.cli.calibrate import add_calibrate
 from granflow.cli.compare import add_compare
+from granflow.cli.examples import add_example, add_examples
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
 from granflow.cli.render import add_render
@@ -84,6 +85,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
+    add_examples(verbs)
+    add_example(verbs)
     add_run(verbs)
     add_resume(verbs)
     add_check(verbs)

@@ -40,11 +40,11 @@ def test_quadrants_are_counted_in_the_plane_of_rotation():
     assert module("scene_numbers").quadrants(position).tolist() == [1, 2, 3, 1]
 
 
-# ---------------------------------------------------------------- tables of docs/scenes.md
+# ---------------------------------------------------------------- tables of docs/pages/scenes.md
 
 
 def test_tables_match_the_stored_numbers():
-    """If this fails, run `python tools/scene_table.py` and commit docs/scenes.md."""
+    """If this fails, run `python tools/scene_table.py` and commit docs/pages/scenes.md."""
     table = module("scene_table")
     page = table.PAGE.read_text(encoding="utf-8")
     assert page == table.written(page)

@@ -50,7 +50,8 @@ class GridSpec(Model):
 class FieldGrid(GridSpec):
     """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
 
-    Fields of contacts (stress, pressure, fabric) require the contacts of each frame. Formulas: docs/coarse_graining.md.
+    Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
+    Formulas: docs/pages/guides/coarse_graining.md.
     """
 
     width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
