@@ -44,6 +44,16 @@ class ContactLaws:
         return self.cohesion is not None
 
     @property
+    def acts_at_distance(self) -> bool:
+        """Whether a model acts without overlap."""
+        return self.cohesion is not None and self.cohesion.at_distance
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between two surfaces at which a model acts; 0 if all models require overlap."""
+        return self.cohesion.range if self.cohesion is not None else 0.0
+
+    @property
     def attracts(self) -> bool:
         """Whether the normal force can be attractive."""
         return self.normal.attracts or self.has_cohesion

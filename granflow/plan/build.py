@@ -18,7 +18,15 @@ from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rate
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import planned_outlets
-from granflow.plan.pair_cases import active_models, build_laws, pair_cases_of, pair_materials, pair_table, solid
+from granflow.plan.pair_cases import (
+    active_models,
+    adhesion_velocity,
+    build_laws,
+    pair_cases_of,
+    pair_materials,
+    pair_table,
+    solid,
+)
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import refuse_coarse
 from granflow.plan.scene_parts import planned_groups, planned_stages
@@ -68,13 +76,15 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radius_min, radius_max = min(radii), max(radii)
     refuse_coarse(scene, radius_min)
     pair_cases = tuple(pair_cases_of(scene))
-    step = _time_step(scene, pair_cases, law, velocity, 2.0 * radius_max)
+    adhesion = adhesion_velocity(laws, pair_cases)
+    step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
     refuse_fast_motion(scene, step.value)
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
-    refuse_narrow_box(scene, radius_max, 2.0 * skin if features.lees_edwards else skin)
-    refuse_cut_walls(scene, walls, radius_max + skin)
+    reach = skin + laws.range
+    refuse_narrow_box(scene, radius_max, 2.0 * reach if features.lees_edwards else reach)
+    refuse_cut_walls(scene, walls, radius_max + reach)
     refuse_infinite_rotations(scene, walls)
     particle_count = sum(group.count for group in scene.particles.values())
     controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
@@ -99,7 +109,9 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         wall_speed=speed,
         controlled_motions=controlled_motions,
         forecasts=tuple(forecasts_of(scene, laws, impact_velocity, walls, controlled_motions)),
-        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, image_speed(scene)))
+        adaptive_time_step=_adaptive_time_step(
+            scene, pair_cases, law, velocity, max(speed, image_speed(scene), adhesion)
+        )
         if features.adaptive_step
         else None,
     )

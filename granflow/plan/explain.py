@@ -1,5 +1,6 @@
 """Text of `granflow explain`: each decision of a plan with its reason."""
 
+import math
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
@@ -78,6 +79,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         "Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it"
     )
     yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
+    yield from _bond_number_rows(plan)
     if plan.law.limits_restitution:
         yield ExplainRow(
             "restitution",
@@ -86,6 +88,20 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         )
     for sentence in step.warnings:
         yield ExplainRow("WARNING", "", sentence)
+
+
+def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or cohesion."""
+    law, gravity = plan.laws.cohesion, math.hypot(*plan.gravity)
+    forces = [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
+    numbers = [
+        (force / (each.solid.density * 4.0 / 3.0 * math.pi * each.radius**3 * gravity), force, each.name)
+        for force, each in forces
+        if force and gravity
+    ]
+    if numbers:
+        bond_number, force, name = max(numbers)
+        yield ExplainRow("Bond number", f"{bond_number:.3g}", f"pull-off force {force:.3g} N over weight, {name}")
 
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:

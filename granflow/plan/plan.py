@@ -183,8 +183,11 @@ class Plan:
     @property
     def list_capacity_per_chunk(self) -> int:
         """Initial number of neighbor-list entries per chunk; lists that are too short grow during the run."""
-        neighbors = neighbors_per_particle(self.particle_capacity, self.skin / self.radius_min)
-        at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
+        neighbors = neighbors_per_particle(self.particle_capacity, (self.skin + self.laws.range) / self.radius_min)
+        at_meshes = max(
+            (near_triangles(mesh.typical_edge, self.skin + self.laws.range) for mesh in self.meshes.values()),
+            default=0.0,
+        )
         if self.chunk_size == 1:
             return int(2.0 * neighbors + at_meshes) + EXTRA_PER_PARTICLE
         neighbors += SHARE_AT_MESHES * at_meshes
@@ -257,7 +260,7 @@ class Plan:
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:
         """The cell grid of each mesh wall by wall index, with the triangles within the largest radius plus skin."""
-        reach = self.radius_max + self.skin
+        reach = self.radius_max + self.skin + self.laws.range
         return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
     def first_triangle(self, index: int) -> int:

@@ -54,7 +54,7 @@ def bytes_per_particle_step(plan: Plan, precision: Precision) -> float:
     size = {array.name: _entry_size(array, precision) for array in particle_arrays(plan)}
     history = sum(
         _entry_size(array, precision)
-        for array in neighbor_arrays(plan, plan.list_capacity_per_chunk)
+        for array in neighbor_arrays(plan, plan.capacities)
         if array.name.startswith("history.")
     )
     names = (*INTEGRATION_READ, *INTEGRATION_WRITTEN, *FORCES_READ, *FORCES_WRITTEN)

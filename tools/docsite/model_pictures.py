@@ -11,7 +11,7 @@ from docsite.example_laws import LARGEST_VELOCITY, example_pair, fitted_pair, no
 from granflow.contact import registry, theory
 from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.rolling.cdt import STOPPED_SHARE
+from granflow.contact.rolling.bounded_torque import STOPPED_SHARE
 from granflow.contact.tangential.spring import reference_spring
 
 GRAY = "#8a8a8a"

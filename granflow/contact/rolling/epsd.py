@@ -5,7 +5,7 @@ The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Epsd(RollingLaw):
     name = "epsd"
     source = "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. 217:409"
     limits = "the rolling stiffness is an assumption; without damping a particle at rest can oscillate about its spring"
-    constant_names = ("rolling_friction",)
+    constant_names: ClassVar[tuple[str, ...]] = ("rolling_friction",)
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -39,7 +39,12 @@ class Epsd(RollingLaw):
 
     @ti.func
     def torque(self, constants, contact, history):
-        """Spring torque [N m] after the rotation of this step, limited to mu_r R F."""
+        """Spring torque [N m]."""
+        return self.spring_torque(constants, contact, history)
+
+    @ti.func
+    def spring_torque(self, constants, contact, history):
+        """Spring torque [N m] after the rotation of this step, limited to mu_r R F, its history and loss."""
         history_new, ratio, rate = history, contact.stiffness_ratio, contact.rolling_rate
         rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
         step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)

@@ -6,6 +6,7 @@ the whole contact model and is not needed within a chunk.
 
 from typing import Any
 
+from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
     build_boundary_work,
@@ -41,7 +42,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
 
     with_wall:  True for walls (j < 0), False for particles
 
-    Without overlap it ends the contact and clears its history; its plastic work is added to the losses.
+    Without overlap, or beyond the range of a model that acts at a distance, it ends the contact and clears its history;
+    its plastic work is added to the losses.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
     Writes:  history, in_contact, losses, boundary_work, impulses, wall_force, abort, abort_particle
@@ -52,7 +54,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
         _build_angular_velocities(state, with_wall),
         _build_check_overlap(state, with_wall),
     )
-    pair_constants = build_pair_constants(state)
+    pair_constants, in_range = build_pair_constants(state), build_in_range(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
     release_history, acquire_history = (
         (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
@@ -75,6 +79,9 @@ def build_contact(state: State, with_wall: bool) -> Any:
             force, torque = found.force, found.torque
             write_history(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        elif in_range(i, j, kinematics.overlap):
+            if ti.static(acts_at_distance):
+                force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
         else:
             energy_lost, released = 0.0 * dt, 0
             if ti.static(transfers):
@@ -85,6 +92,29 @@ def build_contact(state: State, with_wall: bool) -> Any:
         return force, torque
 
     return contact
+
+
+def _build_distant_contact(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated pair.
+
+    Reads:   as `build_contact`
+    Writes:  as `build_contact`
+    """
+    distant_force, transfers = build_distant_force(state, with_wall), with_wall and transfers_history(state)
+    acquire_history = build_acquire_history(state) if transfers else None
+    add_to_accounting = _build_add_to_accounting(state, with_wall)
+
+    @ti.func
+    def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
+        if ti.static(transfers):
+            acquire_history(i, list_index, j, pose)
+        attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
+        nothing, force = 0.0 * attraction, -attraction * kinematics.normal
+        found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
+        add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        return force
+
+    return distant_contact
 
 
 def _build_angular_velocities(state: State, with_wall: bool) -> Any:

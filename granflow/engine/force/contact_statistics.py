@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
@@ -50,7 +51,7 @@ def _build_measure(state: State) -> Callable[..., None]:
     particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
     real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
     any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
-    pair_constants, stride = build_pair_constants(state), state.stride
+    pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
 
     real_sum = ti.f32 if state.backend.precision == "f32" else ti.f64
     external: Any = ti.types.ndarray()
@@ -69,19 +70,20 @@ def _build_measure(state: State) -> Callable[..., None]:
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, pose, dt)
+                        if in_range(i, j, contact.overlap):
+                            share, constants = weight(chunk, j), pair_constants(i, j)
+                            elastic, plastic = energies(list_index, constants, contact)
+                            found[ELASTIC] += share * elastic
+                            found[PLASTIC] += share * plastic
                         if contact.overlap > 0.0:
                             share = weight(chunk, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
-                            constants = pair_constants(i, j)
-                            elastic, plastic = energies(list_index, constants, contact)
                             found[COUNT] += share
                             found[OVERLAP_SUM] += share * relative
                             found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
-                            found[ELASTIC] += share * elastic
-                            found[PLASTIC] += share * plastic
                             if j >= 0:
                                 particles.coordination_number[i] += 1
                                 if share == 1.0:
@@ -124,12 +126,14 @@ def build_energies(state: State) -> Any:
         stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
         if ti.static(energy_budget):
             history = read_history(list_index)
-            stored += laws.normal.stored_energy(constants.normal, contact, history.normal)
-            lost += laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if contact.overlap > 0.0:
+                stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
+                lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
             if ti.static(laws.has_cohesion):
                 stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
                 lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
-            stored = with_surface_energy(stored, constants, contact, history)
+            if contact.overlap > 0.0:
+                stored = with_surface_energy(stored, constants, contact, history)
         return stored, lost
 
     return energies

@@ -16,7 +16,8 @@ def build_pair_kinematics(state: State, with_wall: bool) -> Any:
 
     with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
 
-    Returns the struct of `build_sphere_kinematics`; without contact, only the overlap is valid, and not above 0.
+    Returns the struct of `build_sphere_kinematics`; without contact, the overlap is not above 0, and only models that
+    act at a distance get its value and the normal.
 
     Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
@@ -44,6 +45,7 @@ def _build_particle_kinematics(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
     sphere_kinematics, in_contact = build_sphere_kinematics(state.plan), build_in_contact(real)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
 
     @ti.func
     def particle_kinematics(i, j, pose, time_step):
@@ -58,6 +60,10 @@ def _build_particle_kinematics(state: State) -> Any:
                     particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
                 )
             found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
+        elif ti.static(acts_at_distance):
+            distance = ti.sqrt(branch.dot(branch))
+            found.overlap = ti.min(radius + radius_partner - distance, 0.0)
+            found.normal = 1.0 / distance * branch
         return found
 
     return particle_kinematics
@@ -66,7 +72,7 @@ def _build_particle_kinematics(state: State) -> Any:
 def _build_wall_kinematics(state: State) -> Any:
     """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    geometry = WallGeometry(state)
+    geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
@@ -74,6 +80,8 @@ def _build_wall_kinematics(state: State) -> Any:
         gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - found.overlap
+        if ti.static(acts_at_distance):
+            found.normal = ti.cast(direction, real)
         if found.overlap > 0.0:
             found.normal = ti.cast(direction, real)
             contact_point = particles.position[i] - gap * direction

@@ -7,6 +7,7 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
+from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
     build_pair_force,
@@ -62,7 +63,7 @@ def build_batched_forces(state: State) -> Any:
         while i < last:
             found = 0
             while i < last and found < BATCH:
-                found = collect(worker, chunk, i, found, pose, dt)
+                found = collect(worker, chunk, i, found, first, last, pose, dt)
                 i += 1
             gather(worker, found, pose, dt)
             evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
@@ -72,20 +73,24 @@ def build_batched_forces(state: State) -> Any:
 
 
 def _build_collect(state: State) -> Any:
-    """Device function (worker, chunk, i, begin, pose, time_step): add the contacts of one neighbor list to the batch.
+    """Device function that adds the contacts of one neighbor list to the batch.
+
+    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time step.
 
     Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
     end.
 
     Reads:   position, radius, neighbor lists, in_contact
-    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
+             at a distance, force
     """
     particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
     real, has_history = state.backend.real, bool(neighbors.history)
     in_contact, end_contact = build_in_contact(real), build_end_contact(state)
     effective, minimum_image = build_effective(state, False), build_minimum_image(state)
     pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
-    max_overlap = state.parameter("max_overlap")
+    max_overlap, acts_at_distance = state.parameter("max_overlap"), state.plan.laws.acts_at_distance
+    attract = _build_attract(state) if acts_at_distance else None
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
@@ -100,7 +105,7 @@ def _build_collect(state: State) -> Any:
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
-    def collect(worker, chunk, i, begin, pose, dt):
+    def collect(worker, chunk, i, begin, first, last, pose, dt):
         position, radius, overlap_ratio = particles.position[i], particles.radius[i], max_overlap()
         end = begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
@@ -118,12 +123,51 @@ def _build_collect(state: State) -> Any:
             end += ti.cast(near, ti.i32)
             radius_min = ti.select(radius < radius_partner, radius, radius_partner)
             check_overlap(i, square, reach, overlap_ratio * radius_min)
-            if ti.static(has_history):
+            if ti.static(acts_at_distance):
+                if not near:
+                    attract(chunk, i, j, list_index, branch, reach, first, last, pose, dt)
+            elif ti.static(has_history):
                 if neighbors.in_contact[list_index] == 1 and not near:
                     end_lost_contact(chunk, list_index, i, j, dt)
         return end
 
     return collect
+
+
+def _build_attract(state: State) -> Any:
+    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+
+    Arguments: chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the chunk,
+    pose, time step.
+
+    Reads:   radius, mass, history, pair_constants, law_parameters
+    Writes:  force, history, in_contact, losses, boundary_work
+    """
+    particles, features = state.particles, state.plan.features
+    distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
+    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    pair_constants, effective, has_history = (
+        build_pair_constants(state),
+        build_effective(state, False),
+        bool(state.neighbors.history),
+    )
+
+    @ti.func
+    def attract(chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
+        distance = ti.sqrt(branch.dot(branch))
+        constants = pair_constants(i, j)
+        if distance < contact_distance + constants.cohesion.range:
+            overlap = ti.min(contact_distance - distance, 0.0)
+            force = -distant_force(chunk, i, list_index, j, overlap, dt) / distance * branch
+            particles.force[i] = particles.force[i] + force
+            if j >= first and j < last:
+                particles.force[j] = particles.force[j] - force
+            if ti.static(features.energy_budget and features.lees_edwards):
+                add_boundary_work(chunk, i, j, force, pose, dt)
+        elif ti.static(has_history):
+            add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
+
+    return attract
 
 
 def _build_gather(state: State) -> Any:

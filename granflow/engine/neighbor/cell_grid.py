@@ -86,7 +86,8 @@ def update_cell_grids(state: State) -> list[CellGrid]:
     grids: list[CellGrid] = []
     for class_index, radius in enumerate(plan.size_classes):
         # The margin is above rounding, so that a neighbor is never two cells away.
-        side, limit = (2.0 * radius + plan.skin) * (1.0 + 1e-6), plan.cell_capacity >> class_index
+        side = (2.0 * radius + plan.skin + plan.laws.range) * (1.0 + 1e-6)
+        limit = plan.cell_capacity >> class_index
         grid = _grid_for_particles(state, lows, highs, side, limit)
         if sorting.class_order is not None:
             sorting.radius[class_index], sorting.first_cell[class_index] = (

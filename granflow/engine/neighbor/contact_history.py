@@ -70,6 +70,8 @@ def build_end_contact(state: State) -> Any:
         if ti.static("normal" in names):
             energy = laws.normal.lost_energy(constants.normal, contact, history.normal)
         if ti.static("cohesion" in names):
+            if ti.static(laws.acts_at_distance):
+                contact.overlap = -constants.cohesion.range
             energy += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
         return energy
 

@@ -6,6 +6,7 @@ the history that a contact of the first pass released; then the released entries
 
 from typing import Any
 
+from granflow.engine.force.pair_kinematics import build_pair_constants
 from granflow.engine.mesh import from_nearest
 from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
 from granflow.engine.state import State
@@ -33,12 +34,16 @@ def build_release_history(state: State) -> Any:
     """
     particles, neighbors = state.particles, state.neighbors
     separation, wall_count = _build_separation(state), state.parameter("wall_count")
+    acts_at_distance, pair_constants = state.plan.laws.acts_at_distance, build_pair_constants(state)
 
     @ti.func
     def release_history(i, list_index, j, pose):
         released, t = 0, -1 - j - wall_count()
         if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
-            if separation(i, t, pose).norm() < particles.radius[i]:
+            reach = particles.radius[i]
+            if ti.static(acts_at_distance):
+                reach += pair_constants(i, j).cohesion.range
+            if separation(i, t, pose).norm() < reach:
                 neighbors.in_contact[list_index] = RELEASED
                 released = 1
         return released

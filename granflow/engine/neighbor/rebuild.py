@@ -98,7 +98,8 @@ class NeighborListRebuild:
     def _fill_lists(self, pose: int) -> None:
         """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
         while True:
-            self._kernels.fill(self._state.chunk_count, self._state.count, self._state.plan.skin, pose)
+            plan, count = self._state.plan, self._state.count
+            self._kernels.fill(self._state.chunk_count, count, plan.skin + plan.laws.range, pose)
             needed = int(self._state.control.list_length_needed[0])
             if needed <= self._state.capacities.list_entries_per_chunk:
                 return
