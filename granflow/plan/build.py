@@ -82,10 +82,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
-    reach = skin + laws.range
-    refuse_narrow_box(scene, radius_max, 2.0 * reach if features.lees_edwards else reach)
-    refuse_cut_walls(scene, walls, radius_max + reach)
-    refuse_infinite_rotations(scene, walls)
+    _refuse_geometry(scene, walls, radius_max, skin + laws.range)
     particle_count = sum(group.count for group in scene.particles.values())
     controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
@@ -117,6 +114,13 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     )
     _refuse_fast(scene, plan, speeds)
     return plan
+
+
+def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
+    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond contact [m]."""
+    refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
+    refuse_cut_walls(scene, walls, radius_max + reach)
+    refuse_infinite_rotations(scene, walls)
 
 
 def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
