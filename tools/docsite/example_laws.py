@@ -24,6 +24,13 @@ LARGEST_VELOCITY = 10.0
 UNLOADING_ANGLE = 0.5
 
 
+ADHESION = {
+    "cohesion_energy_density": 1e5, "work_of_adhesion": 0.05, "surface_tension": 0.072,
+    "contact_angle": 0.3, "liquid_volume": 1e-16, "hamaker_constant": 1e-19, "separation": 1e-8,
+}  # fmt: skip
+"""Options of a pair for the cohesion models, in SI units."""
+
+
 def pair(restitution: float | VelocityRestitution | None = RESTITUTION) -> PairMaterial:
     """Steel on steel with friction 0.5 and rolling friction 0.1."""
     return PairMaterial(
@@ -32,7 +39,7 @@ def pair(restitution: float | VelocityRestitution | None = RESTITUTION) -> PairM
         restitution,
         0.5,
         STEEL.yield_strength,
-        {"rolling_friction": 0.1, "cohesion_energy_density": 1e5},
+        {"rolling_friction": 0.1, "rolling_damping": 0.3, "rolling_dissipation": 1e-3} | ADHESION,
     )
 
 

@@ -2,22 +2,26 @@
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from docsite.example_laws import LARGEST_VELOCITY, example_pair, fitted_pair, normal_law, pair, two_spheres
+from docsite.example_laws import ADHESION, LARGEST_VELOCITY, example_pair, fitted_pair, normal_law, pair, two_spheres
 from granflow.contact import registry, theory
-from granflow.contact.law import NormalLaw
+from granflow.contact.law import ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.rolling.bounded_torque import STOPPED_SHARE
+from granflow.contact.rolling.sds import Sds
 from granflow.contact.tangential.spring import reference_spring
 
 GRAY = "#8a8a8a"
 COLORS = ("#3b82c4", "#d97a26", "#4a9d5b")
 """Colors that are visible on light and dark pages."""
 LOWEST_VELOCITY = 1e-3
+RADIUS, MODULUS = 1e-4, 1e7
+"""Effective radius [m] and modulus [Pa] of the cohesive sphere."""
 STEPS_PER_CONTACT = 400
 VARIANTS: dict[str, Sequence[tuple[str, dict[str, Any]]]] = {
     "linear": [("stiffness: onset", {}), ("stiffness: 1e7 N/m", {"stiffness": {"value": 1e7}})],
@@ -35,7 +39,7 @@ def picture(slot: str, name: str) -> str:
         "normal": _normal,
         "tangential": lambda name: _loop("displacement / displacement at slip", "tangential force / Coulomb limit"),
         "rolling": _rolling,
-        "cohesion": lambda name: _cohesion(),
+        "cohesion": lambda name: _sjkr() if name == "sjkr" else _cohesion(name),
     }
     return draw[slot](name)
 
@@ -103,18 +107,66 @@ def _loop(x: str, y: str) -> str:
 
 
 def _rolling(name: str) -> str:
-    """Torque of a rolling model over its displacement (EPSD) or rate (CDT)."""
+    """Torque of a rolling model over its displacement (EPSD, SDS) or rate (CDT, viscous)."""
     if name == "epsd":
         return _loop("rolling angle / angle at the limit", "torque / limit")
+    if name == "sds":
+        return _damped_loop()
     figure, (axis,) = _figure(1)
     rate = np.linspace(-3.0, 3.0, 601)
+    if name == "viscous":
+        axis.plot(rate, rate, color=COLORS[0])
+        _label(axis, "rolling rate [rad/s]", "torque against rolling / (A R F) [rad/s]")
+        return _svg(figure)
     # rate in units of mu_r R F 8 dt / I, at which the viscous torque equals the limit
     axis.plot(rate, np.sign(rate) * np.minimum(1.0, np.abs(rate)), color=COLORS[0])
     _label(axis, f"rolling rate / (limit x dt / ({STOPPED_SHARE:g} I))", "torque against rolling / limit")
     return _svg(figure)
 
 
-def _cohesion() -> str:
+def _damped_loop() -> str:
+    """Torque of SDS over two cycles of rolling with a period of twelve natural periods, in units of the limit."""
+    figure, (axis,) = _figure(1)
+    time, step = np.linspace(0.0, 24.0 * math.tau, 4001, retstep=True)
+    angle, law = 2.0 * np.sin(time / 12.0), Sds(False)
+    contact = SimpleNamespace(
+        stiffness=1.0, stiffness_ratio=1.0, radius_eff=1.0, inertia_eff=1.0, normal_load=1.0, time_step=step,
+        normal=np.array([0.0, 0.0, 1.0]), normal_half=np.array([0.0, 0.0, 1.0]),
+        constants=SimpleNamespace(rolling_friction=1.0, rolling_damping=0.3),
+    )  # fmt: skip
+    torques: list[float] = []
+    history: Mapping[str, Any] = {"angle": np.zeros(3)}
+    for rate in np.diff(angle, prepend=0.0) / step:
+        contact.history, contact.rolling_rate = SimpleNamespace(**history), np.array([rate, 0.0, 0.0])
+        torque, history = law.reference(contact)
+        torques.append(-torque[0])
+    axis.plot(angle, torques, color=COLORS[0])
+    _label(axis, "rolling angle / angle at the limit", "torque / limit")
+    return _svg(figure)
+
+
+def _cohesion(name: str) -> str:
+    """Hertz force minus attraction while a soft sphere is pulled from a wall."""
+    figure, (axis,) = _figure(1)
+    material = PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, 0.0, options=ADHESION)
+    law: Any = registry.models("cohesion")[name].law.from_scene(
+        ModelRequest({}, (material,), 1.0, 0.5, radius_eff_max=RADIUS)
+    )
+    constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(material), strict=True)))
+    overlap = np.linspace(max(1e-6, 0.2 * law.range), -1.1 * law.range, 2000)
+    force: list[float] = []
+    history: Mapping[str, Any] = {}
+    for distance in overlap:
+        contact = ContactState(constants, RADIUS, 1.0, 1.0, float(distance), 0.0, SimpleNamespace(**history))
+        attraction, history = law.reference(contact)
+        force.append(theory.hertz_stiffness(MODULUS, RADIUS) * max(distance, 0.0) ** 1.5 - attraction)
+    axis.plot(overlap * 1e6, np.array(force) * 1e6, color=COLORS[0])
+    axis.axhline(0.0, color=GRAY, lw=0.6)
+    _label(axis, "overlap [um]", "repulsive force [uN]")
+    return _svg(figure)
+
+
+def _sjkr() -> str:
     """Hertz force minus the SJKR attraction versus overlap."""
     figure, (axis,) = _figure(1)
     radius, modulus = 0.5e-3, 5e6 / (2.0 * (1.0 - 0.2**2))

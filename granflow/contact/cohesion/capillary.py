@@ -120,7 +120,9 @@ MODEL = ContactModel(
         PairOption(
             "surface_tension",
             Amount(
-                "surface tension of the liquid [N/m]", *("72 mN/m", "surface_energy", "a surface tension"), at_least=0
+                "surface tension of the liquid [J/m2], the same as N/m",
+                *("72 mN/m", "surface_energy", "a surface tension"),
+                at_least=0,
             ),
             "give it in N/m, or 0 to disable cohesion",
         ),
