@@ -46,7 +46,7 @@ def test_power_is_exact_to_2_ulp(taichi_f64):
 
 def test_exponential_is_exact_to_2_ulp(taichi_f64):
     rng = np.random.default_rng(2)
-    x = np.concatenate([rng.uniform(-700.0, 700.0, 400), rng.normal(0.0, 1e-3, 100), [0.0, 1.0, -1.0]])
+    x = np.concatenate([rng.uniform(-650.0, 650.0, 400), rng.normal(0.0, 1e-3, 100), [0.0, 1.0, -1.0]])
     with localcontext() as context:
         context.prec = 40
         assert in_ulps(evaluated(exponential_f64, x, np.zeros_like(x)), [Decimal(float(a)).exp() for a in x]) <= ULPS

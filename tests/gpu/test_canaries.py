@@ -142,7 +142,7 @@ def powers(arch):
 
     ti = started(arch)
     rng = np.random.default_rng(3)
-    x = np.concatenate([10.0 ** rng.uniform(-30.0, 12.0, 2000), [0.0]])
+    x = np.concatenate([10.0 ** rng.uniform(-30.0, 12.0, 2000), [1.0]])
     y = np.concatenate([rng.uniform(-30.0, 30.0, 2000), [0.0]])
     found = np.zeros((2001, 2))
 
