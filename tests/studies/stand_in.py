@@ -28,7 +28,7 @@ def main():
         file.write(f"{verb} {directory.name}\n")
     values = json.loads(checkpoint.read_text()) if verb == "resume" else settings()
     if values["friction"] == 0.4:
-        print("granflow: Stopped: overlap above the limit.", file=sys.stderr)
+        print(f"granflow: Stopped: overlap above the limit. State in {directory}.", file=sys.stderr)
         return 3
     stopped = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))

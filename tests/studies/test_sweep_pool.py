@@ -54,7 +54,10 @@ def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(s
     found = rows(out)
     assert [row["status"] for row in found] == STATUSES
     assert [row["kinetic_energy [J]"] for row in found[:3]] == [repr(0.5 + k) for k in (0.1, 0.2, 0.30000000000000004)]
-    assert found[0]["rotational_energy [J]"] == "" and found[3]["reason"] == "Stopped: overlap above the limit."
+    assert (
+        found[0]["rotational_energy [J]"] == ""
+        and found[3]["reason"] == f"Stopped: overlap above the limit. State in runs/{found[3]['runs']}."
+    )
     assert found[4]["reason"].endswith("1, but should be below 1.") and len(starts(out)) == 8
     run_sweep(sweep, out, Workers(jobs=2))
     assert rows(out) == found and len(starts(out)) == 8

@@ -167,11 +167,14 @@ def _signal_name(number: int) -> str:
 
 
 def _reason(directory: Path) -> str:
-    """The messages of a process on one line: without progress and warnings; of a traceback the last line."""
+    """The messages of a process on one line: without progress and warnings; of a traceback the last line.
+
+    The directory of the run is shown as runs/HASH, so that the reason does not depend on the place of the study.
+    """
     text = (directory / MESSAGES).read_text(encoding="utf-8", errors="replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if any(line.startswith("Traceback") for line in lines):
         return lines[-1]
     problems = [line for line in lines if line.startswith(("granflow: ", "--set", os.sep)) or ".yaml:" in line]
     words = [line.removeprefix("granflow: ") for line in problems if not line.startswith("granflow: warning:")]
-    return " ".join(words)
+    return " ".join(words).replace(str(directory), f"{directory.parent.name}/{directory.name}")
