@@ -124,15 +124,15 @@ MUTATIONS = (
     Mutation(
         "wall velocity half a step late",
         "granflow/engine/walls.py",
-        "middle = [pose(motions, times - 0.5 * clock.time_step)",
-        "middle = [pose(motions, times)",
+        "middles = times - 0.5 * clock.time_step",
+        "middles = times",
         (WALL_TIME,),
     ),
     Mutation(
         "wall velocity half a step early",
         "granflow/engine/walls.py",
-        "middle = [pose(motions, times - 0.5 * clock.time_step)",
-        "middle = [pose(motions, times - clock.time_step)",
+        "middles = times - 0.5 * clock.time_step",
+        "middles = times - clock.time_step",
         (WALL_TIME,),
     ),
     # Lock and checkpoints
@@ -189,15 +189,15 @@ MUTATIONS = (
     Mutation(
         "overlap limit, batched",
         "granflow/engine/force/simd_pair_force.py",
-        "distance_limit = reach - plan.max_overlap * radius_min",
-        "distance_limit = reach - 4.0 * plan.max_overlap * radius_min",
+        "distance_limit = reach - overlap_limit",
+        "distance_limit = reach - 4.0 * overlap_limit",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
         "granflow/engine/force/contact_forces.py",
-        "if overlap > max_overlap * radius_min:",
-        "if overlap > 4.0 * max_overlap * radius_min:",
+        "if overlap > max_overlap() * radius_min:",
+        "if overlap > 4.0 * max_overlap() * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
@@ -209,16 +209,16 @@ MUTATIONS = (
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/engine/integrate.py",
-        "rebuild_limit, step_limit = (0.5 * plan.skin) ** 2",
-        "rebuild_limit, step_limit = plan.skin ** 2",
+        "granflow/plan/parameters.py",
+        '"rebuild_limit_squared": (0.5 * plan.skin) ** 2',
+        '"rebuild_limit_squared": plan.skin ** 2',
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
         "displacement of a free wall",
         "granflow/engine/wall_dynamics.py",
-        "if not step_displacement <= plan.wall_travel_limit:",
-        "if not step_displacement <= 2.0 * plan.wall_travel_limit:",
+        "if not step_displacement <= travel_limit():",
+        "if not step_displacement <= 2.0 * travel_limit():",
         (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
@@ -282,8 +282,8 @@ MUTATIONS = (
     Mutation(
         "neighbors of the next index",
         "granflow/engine/neighbor/neighbor_list.py",
-        "if j > i or j < first",
-        "if j > i + 1 or j < first",
+        "if j > i or j < owner.first",
+        "if j > i + 1 or j < owner.first",
         ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(
