@@ -20,6 +20,7 @@ from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
+from granflow.plan.structure import structure_of
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -175,6 +176,7 @@ class Control(Fields):
 class State:
     """All device data of one plan.
 
+    structure:      what the kernels depend on, see `plan.structure`
     capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
     parameters:     numbers of the plan
     count:          number of particles
@@ -188,6 +190,7 @@ class State:
     """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
+        self.structure = structure_of(plan)
         self.plan, self.backend = plan, backend
         self._built: dict[Any, Any] = {}
         self.capacities = plan.capacities
