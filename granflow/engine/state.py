@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
-from granflow.engine.field_block import FieldBlock, Fields, components
+from granflow.engine.field_block import FieldBlock, Fields, components, write_padded
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
@@ -163,13 +163,9 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
-        dtype = ti.lang.util.to_numpy_type(self.pair_constants.dtype)
-        rows, columns = plan.pair_constants.shape
-        padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
-        padded[:rows] = plan.pair_constants
-        self.pair_constants.from_numpy(padded)
+        write_padded(self.pair_constants, plan.pair_constants)
         if plan.law_parameters:
-            self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
+            write_padded(self.law_parameters, np.array([plan.law_parameters]))
         self.abort_particle[0] = NO_PARTICLE
 
 
@@ -276,9 +272,7 @@ class State:
         self._allocate()
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
-            padded = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
-            padded[: len(values)] = values
-            field.from_numpy(padded)
+            write_padded(field, values)
         self.parameters.write(self.plan, capacities)
 
     def free(self) -> None:
