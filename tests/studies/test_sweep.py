@@ -254,8 +254,6 @@ def test_table_has_mean_and_standard_error_over_seeds(tmp_path):
 def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):
     write_sweep(tmp_path)
     monkeypatch.chdir(tmp_path)
-    if "--scheduler-file" in arguments:
-        pytest.importorskip("distributed")
     try:
         code = main(arguments)
     except SystemExit as stop:

@@ -35,12 +35,11 @@ def read_profile(path: Path) -> BatchProfile:
     return validated_file(path, BatchProfile, "profile")[0]
 
 
-def batch_cluster(system: str, path: Path, threads: int) -> Any:
+def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) -> Any:
     """A Dask cluster whose workers are jobs of a batch system; each run has `threads` threads.
 
-    Raises GranflowError without dask-jobqueue, FileError for an invalid profile or too few cores per job.
+    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue or with too few cores per job.
     """
-    profile = read_profile(path)
     try:
         import dask_jobqueue
     except ImportError:

@@ -10,7 +10,7 @@ from typing import Any
 
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
-from granflow.studies.run_processes.cluster import batch_cluster
+from granflow.studies.run_processes.cluster import batch_cluster, read_profile
 
 CONNECT_TIMEOUT = 20.0
 """Time limit [s] for a connection to a scheduler."""
@@ -65,22 +65,26 @@ def local_jobs(jobs: int | None, threads: int, cores: int) -> int:
 
 @contextmanager
 def _dask(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
-    """An executor of a running scheduler, or of a new one whose workers are jobs of a batch system."""
+    """An executor of a running scheduler, or of a new one whose workers are jobs of a batch system.
+
+    The files of the request are checked first, so that their faults are reported without Dask too.
+    """
+    profile = read_profile(workers.batch[1]) if workers.batch else None
+    if workers.scheduler_file and not workers.scheduler_file.is_file():
+        raise GranflowError(f"{workers.scheduler_file}: there is no such file; start dask scheduler --scheduler-file.")
     try:
         from distributed import Client
     except ImportError:
         raise GranflowError(
             "Runs on a scheduler require Dask, which is not installed: pip install granflow[cluster]"
         ) from None
-    if workers.batch:
-        with batch_cluster(*workers.batch, workers.threads) as cluster, Client(cluster) as client:
+    if workers.batch and profile:
+        with batch_cluster(*workers.batch, profile, workers.threads) as cluster, Client(cluster) as client:
             yield _executor(client), _slots(client, workers)
         return
     where = (
         {"scheduler_file": str(workers.scheduler_file)} if workers.scheduler_file else {"address": workers.scheduler}
     )
-    if workers.scheduler_file and not workers.scheduler_file.is_file():
-        raise GranflowError(f"{workers.scheduler_file}: there is no such file; start dask scheduler --scheduler-file.")
     try:
         client = Client(**where, timeout=CONNECT_TIMEOUT)
     except (OSError, ValueError) as error:
