@@ -72,7 +72,7 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
     """A field that is not placed yet; None for an array that the plan does not need."""
     if not array.wanted:
         return None
-    types = {"position": backend.position_real, "real": backend.real, "f64": ti.f64, "i32": ti.i32}
+    types = {"position": backend.position_real, "real": backend.real, "f64": ti.f64, "i32": ti.i32, "i64": ti.i64}
     dtype = types[array.dtype]
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
 

@@ -15,22 +15,25 @@ import taichi as ti
 
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
+from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 
 
 def build_integrate(state: State) -> Any:
-    """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
+    """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
-    Requests a rebuild if a particle has moved by more than half the skin since the last one; aborts if a position is
+    Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position is
     not finite or a displacement in one step exceeds `plan.travel_limit`.
 
-    Reads:   force, torque, mass, radius, fixed, position_at_rebuild
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle
+    Reads:   force, torque, mass, radius, fixed, position_at_rebuild, reach
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle; in
+             a periodic box as `build_wrap`
     """
     plan, particles, control = state.plan, state.particles, state.control
     features, chunk_size = plan.features, plan.chunk_size
-    mobility = build_mobility(state)
-    rebuild_limit, step_limit = (0.5 * plan.skin) ** 2, plan.travel_limit**2
+    mobility, periodic = build_mobility(state), features.periodic != "none"
+    wrap = build_wrap(state) if periodic else None
+    step_limit = plan.travel_limit**2
 
     @ti.func
     def request_abort(code, i):
@@ -38,7 +41,7 @@ def build_integrate(state: State) -> Any:
         ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
-    def integrate(chunk, count, dt):
+    def integrate(chunk, count, pose, dt):
         rebuild = 0
         for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
             kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
@@ -58,10 +61,13 @@ def build_integrate(state: State) -> Any:
                 )
             displacement = position - particles.position_at_rebuild[i]
             displacement_squared = displacement.dot(displacement)
-            if displacement_squared > rebuild_limit:
+            reach_squared = particles.reach[i] * particles.reach[i]
+            if displacement_squared > reach_squared:
                 rebuild = 1
-            elif not displacement_squared <= rebuild_limit:  # NaN fails both comparisons
+            elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
                 request_abort(ABORT_NOT_FINITE, i)
+            if ti.static(periodic):
+                wrap(chunk, i, pose, dt)
             # Above this limit a particle could pass another one, or a wall, between two force evaluations.
             if step_displacement.dot(step_displacement) > step_limit:
                 request_abort(ABORT_DISPLACEMENT, i)

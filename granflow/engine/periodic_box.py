@@ -1,8 +1,9 @@
 """Periodic box: minimum image, wrapping and image velocity.
 
-Positions are wrapped into the box at neighbor-list rebuilds only; between rebuilds they may be outside by less than
-the skin. In a sheared box (Lees-Edwards) the image above moves with an offset and a velocity, and the image below
-with the opposite ones; both are stored by pose, as wall positions are.
+Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on its size,
+so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box (Lees-Edwards) the image above
+moves with an offset and a velocity, and the image below with the opposite ones; both are stored by pose, as wall
+positions are.
 """
 
 from typing import Any
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.engine.exact_sums import SHARES, to_units
 from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.sum_units import ENERGY
 
 
 def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
@@ -27,8 +30,7 @@ def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
 def build_image_index(state: State) -> Any:
     """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
 
-    Above and below refer to the gradient axis of a sheared box. Points are in m and may be outside the box by less than
-    the skin.
+    Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
     _, gradient = _lees_edwards_axes(periodic_box)
@@ -63,7 +65,7 @@ def build_minimum_image(state: State) -> Any:
             branch[flow] = branch[flow] - real(widths[flow]) * ti.round(branch[flow] / real(widths[flow]))
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
             width, half = real(widths[axis]), real(0.5 * widths[axis])
-            # One width suffices: between rebuilds positions are outside the box by less than the skin.
+            # One width suffices, because positions are inside the box.
             above = ti.select(branch[axis] > half, width, 0.0 * width)
             below = ti.select(branch[axis] < -half, width, 0.0 * width)
             branch[axis] = branch[axis] - above + below
@@ -138,22 +140,60 @@ def build_wrap_position(state: State) -> Any:
 
 
 def build_wrap(state: State) -> Any:
-    """Kernel (count, pose, time_step): wrap all particles into the box; the energy they gain counts as boundary work.
+    """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary work.
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
 
     Reads:   position, velocity, mass, force, image_offset, image_speed
-    Writes:  position, velocity, velocity_synchronized, boundary_work
+    Writes:  position, position_at_rebuild, velocity, velocity_synchronized, boundary_work
     """
-    plan, particles, real = state.plan, state.particles, state.backend.real
-    boundary_work: Any = state.control.boundary_work
-    wrap_position, stride, chunk_size = build_wrap_position(state), state.stride, plan.chunk_size
-    gravity, sheared = [float(g) for g in plan.gravity], plan.periodic_box.image_motion is not None
+    plan, particles, periodic_box = state.plan, state.particles, state.plan.periodic_box
+    wrap_position, sheared = build_wrap_position(state), plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
+    add_energy_gain, real = _build_add_energy_gain(state), state.backend.position_real
+    lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
+
+    @ti.func
+    def is_outside(point):
+        outside = False
+        for axis in ti.static(periodic_box.axes):
+            outside = outside or ti.floor((point[axis] - real(lows[axis])) / real(widths[axis])) != 0.0
+        return outside
+
+    @ti.func
+    def wrap(chunk, i, pose, dt):
+        before = particles.position[i]
+        if is_outside(before):
+            velocity_shift = 0.0 * particles.velocity[i]
+            wrapped = before
+            if ti.static(sheared):
+                wrapped, velocity_shift = cross_boundary(before, pose)
+            wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
+            particles.position[i] = wrapped
+            particles.position_at_rebuild[i] = particles.position_at_rebuild[i] + (wrapped - before)
+            if ti.static(plan.features.energy_budget):
+                add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
+            if ti.static(sheared):
+                particles.velocity[i] = particles.velocity[i] - velocity_shift
+                if ti.static(plan.features.rate_dependent):
+                    particles.velocity_synchronized[i] = particles.velocity_synchronized[i] - velocity_shift
+
+    return wrap
+
+
+def _build_add_energy_gain(state: State) -> Any:
+    """Device function (chunk, i, shift [m], decrease of the velocity [m/s], time_step): add the energy gain.
+
+    The gain of potential energy, and of kinetic energy at the time of the positions.
+
+    Reads:   velocity, mass, force
+    Writes:  boundary_work
+    """
+    particles, control, gravity = state.particles, state.control, [float(g) for g in state.plan.gravity]
+    sheared = state.plan.periodic_box.image_motion is not None
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
-        """Add the gain of potential energy, and of kinetic energy at the time of the positions."""
         mass = ti.cast(particles.mass[i], ti.f64)
         gained = -mass * ti.Vector(gravity, dt=ti.f64).dot(ti.cast(shift, ti.f64))
         if ti.static(sheared):
@@ -164,29 +204,29 @@ def build_wrap(state: State) -> Any:
             gained += mass * (
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
             )
-        boundary_work[chunk] = boundary_work[chunk] + gained
+        gained_units = SHARES * to_units(ti.cast(control.per_unit[0][ENERGY], ti.f64) * gained)
+        control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + gained_units
+
+    return add_energy_gain
+
+
+def build_wrap_all(state: State) -> Any:
+    """Kernel (count, pose, time_step): wrap all particles into the box; inserted ones can be outside.
+
+    Reads:   as `build_wrap`
+    Writes:  as `build_wrap`
+    """
+    wrap, stride, chunk_size, real = build_wrap(state), state.stride, state.plan.chunk_size, state.backend.real
 
     @ti.kernel
-    def wrap(count: ti.i32, pose: ti.i32, dt: real):
+    def wrap_all(count: ti.i32, pose: ti.i32, dt: real):
         for task in range((count + chunk_size - 1) // chunk_size * stride):
             if task % stride == 0:
                 chunk = task // stride
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
-                    before = particles.position[i]
-                    velocity_shift = 0.0 * particles.velocity[i]
-                    wrapped = before
-                    if ti.static(sheared):
-                        wrapped, velocity_shift = cross_boundary(before, pose)
-                    wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
-                    particles.position[i] = wrapped
-                    if ti.static(plan.features.energy_budget):
-                        add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
-                    if ti.static(sheared):
-                        particles.velocity[i] = particles.velocity[i] - velocity_shift
-                        if ti.static(plan.features.rate_dependent):
-                            particles.velocity_synchronized[i] = particles.velocity_synchronized[i] - velocity_shift
+                    wrap(chunk, i, pose, dt)
 
-    return wrap
+    return wrap_all
 
 
 def _build_cross_boundary(state: State) -> Any:

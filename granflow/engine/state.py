@@ -1,6 +1,7 @@
 """Device arrays. `plan.device_arrays` lists most of them; a field that the plan does not need is None."""
 
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from granflow.geometry.motion import Motion
 from granflow.plan.capacities import WALL_BATCH, history_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
+from granflow.plan.sum_units import TORQUE
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -52,6 +54,7 @@ class CellSort(Fields):
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
     low, high:    corners [m] of the bounding boxes of `build_bounds`
+    reach:        largest reach [m] of a particle in each of these boxes
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
@@ -93,6 +96,8 @@ class PairBatch:
     """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
 
     The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
+
+    sums:  contact force and torque on each particle of the chunk of a worker
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
@@ -115,6 +120,8 @@ class PairBatch:
         self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
+        components = 6 if features.rotation else 3
+        self.sums = block.vector(ti.f64, backend.worker_count, plan.chunk_size, count=components)
 
 
 class Control(Fields):
@@ -131,9 +138,11 @@ class Control(Fields):
     list_length_needed:         largest number of entries of a chunk
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
-    losses:                     terms LOSSES of each chunk [J]
-    impulses:                   time integrals of the wall forces of each chunk
-    boundary_work:              work at periodic boundaries of each chunk [J]
+    per_unit:                   reciprocal units of the exact sums, in the order of `plan.sum_units`
+    shift:                      numbers that round a force or torque, see `exact_sums.build_to_grid`
+    losses:                     terms LOSSES of each chunk, see `exact_sums`
+    impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
+    boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
     image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
     """
 
@@ -149,6 +158,8 @@ class Control(Fields):
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
+        self.per_unit = block.vector(backend.real, 1, count=len(astuple(plan.sum_units)))
+        self.shift = block.vector(backend.real, 1, count=2)
         super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
@@ -158,6 +169,9 @@ class Control(Fields):
         """Write the constant arrays."""
         dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
         self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
+        units = np.array([astuple(plan.sum_units)])
+        self.per_unit.from_numpy((1.0 / units).astype(dtype))
+        self.shift.from_numpy((1.5 * units[:, : TORQUE + 1] / np.finfo(dtype).eps).astype(dtype))
         self.abort_particle[0] = NO_PARTICLE
 
 

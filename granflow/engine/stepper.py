@@ -187,8 +187,9 @@ class Stepper:
         self._prepare_workers()
         if plan.has_poses:
             # Walls are not in the displacement check of the particles; their rebuild is due after a number of steps.
+            # It follows the integration of the next step, as all others: forces are not computed again for it.
             if self._steps_to_displacement_limit() < 1:
-                self.refresh(step)
+                state.control.rebuild_requested[0] = 1
             if self._pose == WALL_BATCH:
                 self._upload(step + 1)
                 self._pose = 0

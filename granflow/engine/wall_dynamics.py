@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
+from granflow.engine.exact_sums import to_units
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
+from granflow.plan.sum_units import WALL_FORCE
 
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
@@ -29,19 +31,20 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 
     Writes:  wall_force
     """
-    controlled_motions, fields = state.plan.controlled_motions, state.wall_dynamics
+    controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
 
     @ti.func
     def clear_wall_forces(chunk):
         for r in ti.static(range(len(controlled_motions))):
-            fields.wall_force[chunk, r] = 0.0
+            fields.wall_force[chunk, r] = 0
 
     @ti.func
     def add_wall_force(chunk, w, force):
         for r in ti.static(range(len(controlled_motions))):
             if w == controlled_motions[r].wall:
                 force_along = ti.cast(force, ti.f64).dot(ti.Vector(controlled_motions[r].direction, dt=ti.f64))
-                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - force_along
+                in_units = to_units(ti.cast(control.per_unit[0][WALL_FORCE], ti.f64) * force_along)
+                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
 
     return clear_wall_forces, add_wall_force
 
@@ -50,17 +53,16 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 def move_walls(fields: ti.template(), plan: ti.template(), control: ti.template(), chunks, pose, dt_real):
     """Move all force-controlled walls by one step, on one thread.
 
-    Chunks are summed in order, so that the result does not depend on the number of threads.
-
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
     dt = ti.cast(dt_real, ti.f64)
     motions = ti.static(plan.controlled_motions)
     for r in ti.static(range(len(motions))):
-        force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        force_sum, velocity = ti.cast(0, ti.i64), ti.cast(0.0, ti.f64)
         for chunk in range(chunks):
-            force_on_wall += fields.wall_force[chunk, r]
+            force_sum += fields.wall_force[chunk, r]
+        force_on_wall = ti.cast(force_sum, ti.f64) / ti.cast(control.per_unit[0][WALL_FORCE], ti.f64)
         if fields.active[pose, r] == 1:
             velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
             _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
@@ -211,7 +213,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
     )
-    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0) * state.plan.sum_units.wall_force
     velocity = velocity_half.copy()
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]

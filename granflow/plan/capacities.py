@@ -26,6 +26,9 @@ BOUNDS = 1024
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
 
+REACH_STEPS = 40
+"""Number of steps at its velocity that a particle may move between rebuilds, in addition to half the skin."""
+
 WALL_BATCH = 256
 """Number of steps whose wall poses are uploaded together."""
 

@@ -1,20 +1,28 @@
 """Contact forces on one chunk of particles: wall contacts one at a time, particle contacts in batches on a CPU.
 
-Sums are written `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which costs more than
-the whole contact model and is not needed within a chunk.
+Forces and torques are summed exactly, see `exact_sums`. Sums are written `a[i] = a[i] + b`: Taichi compiles
+`a[i] += b` on a field to an atomic operation, which costs more than the whole contact model and is not needed within a
+chunk.
 """
 
 from typing import Any
 
 import taichi as ti
 
+from granflow.engine.exact_sums import (
+    build_list_shares,
+    build_set_forces,
+    build_to_grid,
+    carried,
+    sum_type,
+    to_units,
+)
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
     build_boundary_work,
     build_effective,
     build_pair_kinematics,
     build_pair_number,
-    build_weight,
 )
 from granflow.engine.force.simd_pair_force import build_batched_forces
 from granflow.engine.force.structs import build_constants
@@ -35,7 +43,8 @@ from granflow.engine.neighbor.mesh_contact_history import (
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
-from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING, WALL_WORK
+from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING, WALL_WORK
+from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
@@ -137,24 +146,24 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     Writes:  losses, boundary_work, impulses, wall_force
     """
     features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
-    control, weight, add_boundary_work = state.control, build_weight(state), build_boundary_work(state)
+    control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
     measured = with_wall and features.wall_forces
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def add_losses(chunk, share, found, work):
-        losses = control.losses[chunk]
+    def add_losses(chunk, shares, found, work):
+        losses, per_unit = control.losses[chunk], control.per_unit[0][ENERGY]
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            losses[loss] += share * found.losses[k]
-        losses[WALL_WORK] += work
+            losses[loss] += shares * to_units(per_unit * found.losses[k])
+        losses[WALL_WORK] += shares * to_units(per_unit * work)
         control.losses[chunk] = losses
 
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            add_losses(chunk, weight(i, j), found, wall_work(i, j, pose, found, dt))
+            add_losses(chunk, list_shares(i, j), found, wall_work(i, j, pose, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
@@ -215,9 +224,11 @@ def build_forces(state: State) -> Any:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
-    plan, particles, neighbors = state.plan, state.particles, state.neighbors
-    features, real, chunk_size = plan.features, state.backend.real, plan.chunk_size
-    gravity, batched = [float(g) for g in plan.gravity], state.batch is not None
+    plan, neighbors = state.plan, state.neighbors
+    features, chunk_size = plan.features, plan.chunk_size
+    batch, control, to_grid = state.batch, state.control, build_to_grid(state.backend.real)
+    batched, set_forces, carry_sums = batch is not None, build_set_forces(state), _build_carry_sums(state)
+    sum_real = sum_type(state.backend)
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -226,27 +237,25 @@ def build_forces(state: State) -> Any:
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
+    def add_contact(force, torque, force_sum, torque_sum):
+        force_added, torque_added = to_grid(force, control.shift[0][FORCE]), to_grid(torque, control.shift[0][TORQUE])
+        return force_sum + ti.cast(force_added, sum_real), torque_sum + ti.cast(torque_added, sum_real)
+
+    @ti.func
     def particle_forces(chunk, i, pose, dt):
-        """Weight, wall forces and, without batches, particle contact forces."""
-        force = particles.mass[i] * ti.Vector(gravity, dt=real)
-        torque = 0.0 * force
+        """Sums of the forces and torques of walls and, without batches, of particles."""
+        force_sum, torque_sum = ti.Vector.zero(sum_real, 3), ti.Vector.zero(sum_real, 3)
         if ti.static(plan.has_walls):
             for pass_index in range(pass_count):
                 for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
                     if in_this_pass(list_index, pass_index) == 1:
-                        force_added, torque_added = wall_contact(
-                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                        )
-                        force, torque = force + force_added, torque + torque_added
+                        force, torque = wall_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                        force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
         if ti.static(not batched):
             for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-                force_added, torque_added = particle_contact(
-                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                )
-                force, torque = force + force_added, torque + torque_added
-        particles.force[i] = force
-        if ti.static(features.rotation):
-            particles.torque[i] = torque
+                force, torque = particle_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
+        return force_sum, torque_sum
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
@@ -254,8 +263,39 @@ def build_forces(state: State) -> Any:
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, last):
-            particle_forces(chunk, i, pose, dt)
+            force_sum, torque_sum = particle_forces(chunk, i, pose, dt)
+            if ti.static(batched):
+                for axis in ti.static(range(3)):
+                    batch.sums[worker, i - first][axis] = force_sum[axis]
+                    if ti.static(features.rotation):
+                        batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
+            else:
+                set_forces(i, force_sum, torque_sum)
         if ti.static(batched):
             batched_forces(worker, chunk, first, last, pose, dt)
+            for i in range(first, last):
+                sums = batch.sums[worker, i - first]
+                torque_sum = ti.Vector.zero(sum_real, 3)
+                if ti.static(features.rotation):
+                    torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
+                set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum)
+        carry_sums(chunk)
 
     return forces
+
+
+def _build_carry_sums(state: State) -> Any:
+    """Device function (chunk): move the carries of the energies, once per step and chunk.
+
+    Writes:  losses, boundary_work
+    """
+    control, features, loss_count = state.control, state.plan.features, len(LOSSES)
+
+    @ti.func
+    def carry_sums(chunk):
+        if ti.static(features.energy_budget):
+            control.losses[chunk] = carried(control.losses[chunk], loss_count)
+            if ti.static(features.periodic != "none"):
+                control.boundary_work[chunk] = carried(control.boundary_work[chunk], 1)
+
+    return carry_sums

@@ -5,15 +5,20 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.engine.exact_sums import SHARES, build_list_shares, to_units
 from granflow.engine.field_block import FieldBlock
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number, build_weight
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
 from granflow.engine.force.structs import build_constants
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
+from granflow.plan.sum_units import ENERGY
 
-STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
-"""Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""
-COUNT, OVERLAP_SUM, OVERLAP_LARGEST, ELASTIC, PLASTIC = range(len(STATISTICS))
+SUMS = ("contact_count", "overlap_sum", "elastic_energy", "plastic_dissipation")
+"""Sums over contacts: count, overlap over the smaller radius, energies [J]."""
+COUNT, OVERLAP, ELASTIC, PLASTIC = range(len(SUMS))
+
+OVERLAP_UNIT = 2.0**-48
+"""Unit of the sum of relative overlaps: a chunk can have 2^15 contacts."""
 
 
 class ContactStatistics:
@@ -22,33 +27,36 @@ class ContactStatistics:
     def __init__(self, state: State) -> None:
         self.state = state
         self.block = FieldBlock()
-        self.statistics = self.block.vector(
-            ti.f64 if state.backend.precision != "f32" else ti.f32, state.plan.chunk_capacity, count=len(STATISTICS)
-        )
+        self.sums = self.block.vector(ti.i64, state.plan.chunk_capacity, count=len(SUMS))
+        self.largest = self.block.scalar(state.backend.real, state.plan.chunk_capacity)
         self.block.finish()
-        self._measure = _build_measure(state, self.statistics)
+        self._measure = _build_measure(state, self.sums, self.largest)
 
     def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0 by the names of STATISTICS; fills `coordination_number`."""
+        """Statistics of all contacts at pose 0; fills `coordination_number`.
+
+        Returns SUMS and `overlap_largest`, the maximum of the overlap over the smaller radius.
+        """
         state = self.state
         if not state.count:
-            return dict.fromkeys(STATISTICS, 0.0)
+            return dict.fromkeys((*SUMS, "overlap_largest"), 0.0)
         self._measure(state.chunk_count, state.count, state.clock.time_step)
-        chunks = self.statistics.to_numpy()[: state.chunk_count]
-        values = dict(zip(STATISTICS, chunks.sum(axis=0).tolist(), strict=True))
-        values["overlap_largest"] = float(chunks[:, OVERLAP_LARGEST].max())
-        return values
+        energy = state.plan.sum_units.energy
+        totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT, energy, energy]
+        largest = float(self.largest.to_numpy()[: state.chunk_count].max())
+        return dict(zip(SUMS, totals.tolist(), strict=True)) | {"overlap_largest": largest}
 
 
-def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
-    """Kernel (chunks, count, time_step): statistics of each chunk; a pair in two lists counts half in each.
+def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]:
+    """Kernel (chunks, count, time_step): exact sums and the largest relative overlap of each chunk; see `exact_sums`.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, statistics
+    Writes:  coordination_number, sums, largest
     """
     particles, neighbors, control = state.particles, state.neighbors, state.control
-    real, chunk_size, size = state.backend.real, state.plan.chunk_size, len(STATISTICS)
-    any_kinematics, weight, pair_number = build_any_kinematics(state), build_weight(state), build_pair_number(state)
+    real, chunk_size, sum_count = state.backend.real, state.plan.chunk_size, len(SUMS)
+    any_kinematics, list_shares = build_any_kinematics(state), build_list_shares(state)
+    pair_number = build_pair_number(state)
     energies, constants_of, stride = build_energies(state), build_constants(state.plan.laws), state.stride
 
     @ti.kernel
@@ -58,28 +66,29 @@ def _build_measure(state: State, statistics: Any) -> Callable[..., None]:
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
-                found = ti.Vector.zero(statistics.dtype, size)
+                found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
+                per_unit = control.per_unit[0][ENERGY]
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, 0, dt)
                         if contact.overlap > 0.0:
-                            share = weight(i, j)
+                            shares = list_shares(i, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
                             constants = constants_of(control.pair_constants[pair_number(i, j)])
                             elastic, plastic = energies(list_index, constants, contact)
-                            found[COUNT] += share
-                            found[OVERLAP_SUM] += share * relative
-                            found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
-                            found[ELASTIC] += share * elastic
-                            found[PLASTIC] += share * plastic
+                            overlap_largest = ti.max(overlap_largest, relative)
+                            found[COUNT] += shares
+                            found[OVERLAP] += shares * to_units(relative / OVERLAP_UNIT)
+                            found[ELASTIC] += shares * to_units(per_unit * elastic)
+                            found[PLASTIC] += shares * to_units(per_unit * plastic)
                             particles.coordination_number[i] += 1
-                            if share == 1.0 and j >= 0:
+                            if shares == SHARES and j >= 0:
                                 particles.coordination_number[j] += 1
-                statistics[chunk] = found
+                sums[chunk], largest[chunk] = found, overlap_largest
 
     return measure
 

@@ -4,11 +4,13 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.engine.exact_sums import build_list_shares, to_units
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.plan.sum_units import ENERGY
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
@@ -149,23 +151,6 @@ def build_any_kinematics(state: State) -> Any:
     return any_kinematics
 
 
-def build_weight(state: State) -> Any:
-    """Device function (i, j): 1 for a pair in one neighbor list, 1/2 for a pair in two.
-
-    Sums over list entries with this weight count each contact once.
-    """
-    chunk_size = state.plan.chunk_size
-
-    @ti.func
-    def weight(i, j):
-        share = 1.0
-        if j >= 0 and i // chunk_size != j // chunk_size:
-            share = 0.5
-        return share
-
-    return weight
-
-
 def build_boundary_work(state: State) -> Any:
     """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
 
@@ -173,13 +158,12 @@ def build_boundary_work(state: State) -> Any:
 
     Writes:  boundary_work
     """
-    weight, image_velocity = build_weight(state), build_image_velocity(state)
-    boundary_work: Any = state.control.boundary_work
+    list_shares, image_velocity, control = build_list_shares(state), build_image_velocity(state), state.control
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        work = weight(i, j) * dt * force.dot(image_velocity(i, j, pose))
-        boundary_work[chunk] = boundary_work[chunk] + ti.cast(work, ti.f64)
+        work = to_units(control.per_unit[0][ENERGY] * dt * force.dot(image_velocity(i, j, pose)))
+        control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + list_shares(i, j) * work
 
     return add_boundary_work
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import taichi as ti
 
+from granflow.engine.exact_sums import build_list_shares, build_to_grid, to_units
 from granflow.engine.force.pair_force import (
     build_in_contact,
     build_pair_force,
     build_sphere_kinematics,
     effective_value,
 )
-from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number, build_weight
+from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number
 from granflow.engine.force.structs import (
     build_constants,
     build_read_slots,
@@ -29,6 +30,7 @@ from granflow.engine.neighbor.contact_history import build_add_plastic_loss, bui
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import LANES, State
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
+from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
 BATCH = 128
 """Number of contacts at which a batch is complete; no further neighbor list is added."""
@@ -255,7 +257,8 @@ def _build_load(state: State) -> Any:
 def _build_evaluate(state: State) -> Any:
     """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
 
-    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones. It
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones.
+    Forces and torques are rounded for the exact sums, losses are in their units. It
     is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
 
     Reads:   columns of the batch, pair_constants
@@ -266,7 +269,7 @@ def _build_evaluate(state: State) -> Any:
     slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
     sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
     load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of = build_constants(plan.laws)
+    constants_of, to_grid = build_constants(plan.laws), build_to_grid(real)
 
     @ti.func
     def kinematics_of(worker, entry, dt):
@@ -280,18 +283,18 @@ def _build_evaluate(state: State) -> Any:
         )
 
     @ti.func
-    def store_results(worker, entry, found):
-        store_vector(batch.branch, worker, entry, found.force)
-        store_vector(batch.angular_velocity, worker, entry, found.torque)
-        store_vector(batch.angular_velocity_partner, worker, entry, found.torque_partner)
+    def store_results(worker, entry, found, shift, per_unit):
+        store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
+        store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
+        store_vector(batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE]))
         for slot, vector_of in ti.static(slots):
             store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
         if ti.static(features.energy_budget):
-            store_vector(batch.losses, worker, entry, found.losses)
+            store_vector(batch.losses, worker, entry, per_unit[ENERGY] * found.losses)
 
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared = control.pair_constants[0]
+        shared, shift, per_unit = control.pair_constants[0], control.shift[0], control.per_unit[0]
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
@@ -304,7 +307,7 @@ def _build_evaluate(state: State) -> Any:
                 load_history(worker, entry),
                 dt,
             )
-            store_results(worker, entry, found)
+            store_results(worker, entry, found, shift, per_unit)
 
     return evaluate
 
@@ -312,20 +315,14 @@ def _build_evaluate(state: State) -> Any:
 def _build_scatter(state: State) -> Any:
     """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
 
-    Forces are added to both partners, if the second is in this chunk, in the order of the entries.
+    Forces are added to both partners, if the second is in this chunk.
 
     Reads:   columns of the batch
-    Writes:  force, torque, history, in_contact, losses, boundary_work
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work
     """
-    plan, particles, neighbors, control, batch = (
-        state.plan,
-        state.particles,
-        state.neighbors,
-        state.control,
-        state.batch,
-    )
+    plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
-    weight, add_boundary_work = build_weight(state), build_boundary_work(state)
+    list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -341,26 +338,34 @@ def _build_scatter(state: State) -> Any:
 
     @ti.func
     def add_losses(worker, chunk, i, j, entry):
-        share = weight(i, j)
+        shares = list_shares(i, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
+            added = shares * to_units(batch.losses[k][worker, entry])
+            control.losses[chunk][loss] = control.losses[chunk][loss] + added
+
+    @ti.func
+    def add_to_sums(worker, local, first: ti.template(), terms):
+        for k in ti.static(range(3)):
+            batch.sums[worker, local][first + k] = batch.sums[worker, local][first + k] + terms[k]
 
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):
         for entry in range(end):
             i, j = batch.owner[worker, entry], batch.partner[worker, entry]
-            force = vector_of(batch.branch, worker, entry)
-            particles.force[i] = particles.force[i] + force
+            force = ti.cast(vector_of(batch.branch, worker, entry), batch.sums.dtype)
+            add_to_sums(worker, i - first, 0, force)
             if ti.static(features.rotation):
-                particles.torque[i] = particles.torque[i] + vector_of(batch.angular_velocity, worker, entry)
+                torque = vector_of(batch.angular_velocity, worker, entry)
+                add_to_sums(worker, i - first, 3, ti.cast(torque, batch.sums.dtype))
             if j >= first and j < last:
-                particles.force[j] = particles.force[j] - force
+                add_to_sums(worker, j - first, 0, -force)
                 if ti.static(features.rotation):
-                    particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
+                    torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
+                    add_to_sums(worker, j - first, 3, ti.cast(torque_partner, batch.sums.dtype))
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, i, j, entry)
                 if ti.static(features.lees_edwards):
-                    add_boundary_work(chunk, i, j, force, pose, dt)
+                    add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
 
     return scatter

@@ -70,10 +70,11 @@ class CellGrid:
             side *= 1.25
 
 
-def update_cell_grids(state: State) -> list[CellGrid]:
+def update_cell_grids(state: State, reach: float) -> list[CellGrid]:
     """Write the grid for sorting. If particle sizes differ widely, write one per size class; the first is for sorting.
 
-    Returns:  grids by size class; the cells are at least as wide as the largest diameter of the class plus the skin
+    reach:    largest reach [m] of a particle
+    Returns:  grids by size class; the cells are at least as wide as the largest diameter of the class plus two reaches
 
     Reads:   low, high (see `build_bounds`)
     Writes:  grid_low, cell_side, cells, first_cell, radius
@@ -86,7 +87,7 @@ def update_cell_grids(state: State) -> list[CellGrid]:
     grids: list[CellGrid] = []
     for class_index, radius in enumerate(plan.size_classes):
         # The margin is above rounding, so that a neighbor is never two cells away.
-        side, limit = (2.0 * radius + plan.skin) * (1.0 + 1e-6), sorting.cell_capacity >> class_index
+        side, limit = (2.0 * radius + 2.0 * reach) * (1.0 + 1e-6), sorting.cell_capacity >> class_index
         grid = _grid_for_particles(state, lows, highs, side, limit)
         if sorting.class_order is not None:
             sorting.radius[class_index], sorting.first_cell[class_index] = (

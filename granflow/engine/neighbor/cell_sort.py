@@ -14,23 +14,33 @@ from granflow.engine.state import State
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 
-def build_bounds(state: State) -> Callable[[int], None]:
-    """Kernel (count): bounding boxes of BOUNDS parts of the particle list; part p contains p, p + BOUNDS, ...
+def build_bounds(state: State) -> Callable[..., None]:
+    """Kernel (count, skin [m], time [s]): reach of all particles, and bounds of BOUNDS parts of the particle list.
 
-    Reads:   position
-    Writes:  low, high of the cell sort
+        reach = min(skin / 2 + |v| time, reach_max)
+
+    Part p contains the particles p, p + BOUNDS, ...; its bounds are those of the positions, and the largest reach. A
+    fast particle looks further, so that it does not make the rebuilds of all others more frequent.
+
+    Reads:   position, velocity
+    Writes:  reach of the particles; low, high, reach of the cell sort
     """
-    position, low, high = state.particles.position, state.cell_sort.low, state.cell_sort.high
+    particles, sorting, real = state.particles, state.cell_sort, state.backend.position_real
+    position, low, high, reach_max = particles.position, sorting.low, sorting.high, state.plan.reach_max
 
     @ti.kernel
-    def bounds(count: ti.i32):
+    def bounds(count: ti.i32, skin: real, time: real):
         for part in range(BOUNDS):
             start = position[ti.min(part, ti.max(count - 1, 0))]
-            smallest, largest = start, start
+            smallest, largest, reach_largest = start, start, 0.5 * skin
             for row in range((count - part + BOUNDS - 1) // BOUNDS):
-                here = position[part + row * BOUNDS]
+                i = part + row * BOUNDS
+                here = position[i]
                 smallest, largest = ti.min(smallest, here), ti.max(largest, here)
-            low[part], high[part] = smallest, largest
+                reach = ti.min(0.5 * skin + ti.cast(particles.velocity[i].norm(), real) * time, real(reach_max))
+                particles.reach[i] = reach
+                reach_largest = ti.max(reach_largest, reach)
+            low[part], high[part], sorting.reach[part] = smallest, largest, reach_largest
 
     return bounds
 

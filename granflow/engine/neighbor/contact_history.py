@@ -4,10 +4,11 @@ from typing import Any
 
 import taichi as ti
 
-from granflow.engine.force.pair_kinematics import build_weight
+from granflow.engine.exact_sums import build_list_shares, to_units
 from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
 from granflow.plan.chunk_sums import PLASTIC
+from granflow.plan.sum_units import ENERGY
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
@@ -94,11 +95,12 @@ def build_add_plastic_loss(state: State) -> Any:
 
     Writes:  losses
     """
-    losses, weight, energy_budget = state.control.losses, build_weight(state), state.plan.features.energy_budget
+    control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
 
     @ti.func
     def add_plastic_loss(chunk, i, j, energy_lost):
         if ti.static(energy_budget):
-            losses[chunk][PLASTIC] = losses[chunk][PLASTIC] + weight(i, j) * energy_lost
+            added = list_shares(i, j) * to_units(control.per_unit[0][ENERGY] * energy_lost)
+            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + added
 
     return add_plastic_loss

@@ -19,12 +19,15 @@ from granflow.engine.walls import WallGeometry
 
 
 def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Kernel (count, skin, pose): fill the neighbor lists with all particles and walls nearer than the skin [m].
+    """Kernel (count, skin [m], reach [m], pose): fill the neighbor lists with all pairs that can come into contact.
+
+    Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
+    plus half the skin, by which walls may move. `reach`: the largest of all particles.
 
     `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
     repeats the kernel with a larger capacity.
 
-    Reads:   position, radius, fixed, cells and order of the cell sort, walls, mesh, saved history
+    Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed,
              position_at_rebuild, rebuild_due, rebuild_requested
     """
@@ -33,7 +36,7 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
     list_capacity = neighbors.list_capacity_per_chunk
 
     @ti.kernel
-    def fill_neighbor_list(count: ti.i32, skin: real, pose: ti.i32):
+    def fill_neighbor_list(count: ti.i32, skin: real, reach: real, pose: ti.i32):
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
         control.list_length_needed[0] = 0
@@ -44,7 +47,8 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
                 for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
                     particles.position_at_rebuild[i] = particles.position[i]
                     neighbors.list_begin[i] = list_index
-                    list_index = lists.fill(ti.Struct(i=i, chunk=chunk, skin=skin, pose=pose), list_index)
+                    owner = ti.Struct(i=i, chunk=chunk, skin=skin, reach=reach, pose=pose)
+                    list_index = lists.fill(owner, list_index)
                     neighbors.list_end[i] = list_index
                 ti.atomic_max(control.list_length_needed[0], list_index - chunk * list_capacity)
 
@@ -54,7 +58,8 @@ def build_neighbor_list(state: State) -> Callable[..., None]:
 class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
-    `owner`, a struct: index `i` of the particle, its `chunk`, the `skin` [m] and the `pose` of the walls.
+    `owner`, a struct: index `i` of the particle, its `chunk`, the `skin` [m], the largest `reach` [m] of all particles
+    and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
@@ -92,8 +97,8 @@ class NeighborListFill:
     @ti.func
     def _append_walls(self, owner: ti.template(), list_index):
         """Append the walls, and the triangles of meshes, within the skin."""
-        position, reach = self.particles.position[owner.i], self.particles.radius[owner.i] + owner.skin
-        list_end = list_index
+        position, list_end = self.particles.position[owner.i], list_index
+        reach = self.particles.radius[owner.i] + self.particles.reach[owner.i] + 0.5 * owner.skin
         for w in range(self.wall_count):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
@@ -105,12 +110,13 @@ class NeighborListFill:
     @ti.func
     def _append_triangles(self, owner: ti.template(), list_index, w):
         """Append the triangles of a mesh that are within the skin and may own a contact."""
-        list_end, reach = list_index, self.particles.radius[owner.i] + owner.skin
+        list_end, slack = list_index, self.particles.reach[owner.i] + 0.5 * owner.skin
+        reach = self.particles.radius[owner.i] + slack
         local = self.geometry.to_wall_frame(w, owner.pose, self.particles.position[owner.i])
         begin, end = triangle_range(self.mesh, w, local)
         for k in range(begin, end):
             t = self.mesh.cell_triangles[k]
-            if may_own(self.mesh, t, local, owner.skin) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
+            if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
                 list_end = self._append(owner, list_end, -1 - self.wall_count - t)
         return list_end
 
@@ -120,7 +126,8 @@ class NeighborListFill:
         list_end, position = list_index, self.particles.position[owner.i]
         if ti.static(self.by_class):
             for grid in range(self.class_count):
-                reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + owner.skin
+                reach = self.particles.radius[owner.i] + self.sorting.radius[grid]
+                reach += self.particles.reach[owner.i] + owner.reach
                 if ti.static(self.sheared):
                     reach += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
@@ -150,8 +157,14 @@ class NeighborListFill:
         return list_end
 
     @ti.func
+    def _can_cross(self, position, skin):
+        """True if a particle can cross a sheared face before the next rebuild; it is an image for others then."""
+        low, high = self.plan.domain_low[self.gradient], self.plan.domain_high[self.gradient]
+        return position[self.gradient] < low + skin or position[self.gradient] > high - skin
+
+    @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
-        """Append a partner in another chunk, or behind `i` in this one, if it is within the skin.
+        """Append a partner in another chunk, or behind `i` in this one, if it is within reach.
 
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
@@ -161,12 +174,14 @@ class NeighborListFill:
         if j > i or j < first or j >= last:
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
-            reach = self.particles.radius[i] + self.particles.radius[j] + owner.skin
+            reach = self.particles.radius[i] + self.particles.radius[j]
+            reach += self.particles.reach[i] + self.particles.reach[j]
             is_nearest_image = True
             if ti.static(self.sheared):
                 is_nearest_image = self.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.
-                reach += ti.cast(ti.abs(image), self.state.backend.position_real) * owner.skin
+                if image != 0 or self._can_cross(position, owner.skin) or self._can_cross(partner_position, owner.skin):
+                    reach += owner.skin
             if branch.dot(branch) < reach * reach and is_nearest_image and self.can_touch(i, j):
                 list_end = self._append(owner, list_end, j)
         return list_end
