@@ -108,7 +108,7 @@ _PARTICLE_FIELDS = {
     field.name: field
     for field in (
         FieldSpec(
-            "position", "x", "m", "center of the sphere, not wrapped between rebuilds", "vector", "float64",
+            "position", "x", "m", "center of the sphere", "vector", "float64",
             dtype="position", block="motion", displayed=False,
         ),
         FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),

@@ -159,7 +159,11 @@ MUTATIONS = (
     ),
     # Energy
     Mutation(
-        "kinetic energy", "granflow/engine/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (ENERGY,)
+        "kinetic energy",
+        "granflow/engine/accounting.py",
+        "kinetic = 0.5 * exact_sum",
+        "kinetic = 1.0 * exact_sum",
+        (ENERGY,),
     ),
     Mutation(
         "moment of inertia", "granflow/engine/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
@@ -209,9 +213,9 @@ MUTATIONS = (
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/engine/integrate.py",
-        "rebuild_limit, step_limit = (0.5 * plan.skin) ** 2",
-        "rebuild_limit, step_limit = plan.skin ** 2",
+        "granflow/engine/neighbor/cell_sort.py",
+        "reach = ti.min(0.5 * rebuild.skin",
+        "reach = ti.min(1.0 * rebuild.skin",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(

@@ -210,25 +210,6 @@ def _build_add_energy_gain(state: State) -> Any:
     return add_energy_gain
 
 
-def build_wrap_all(state: State) -> Any:
-    """Kernel (count, pose, time_step): wrap all particles into the box; inserted ones can be outside.
-
-    Reads:   as `build_wrap`
-    Writes:  as `build_wrap`
-    """
-    wrap, stride, chunk_size, real = build_wrap(state), state.stride, state.plan.chunk_size, state.backend.real
-
-    @ti.kernel
-    def wrap_all(count: ti.i32, pose: ti.i32, dt: real):
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
-                    wrap(chunk, i, pose, dt)
-
-    return wrap_all
-
-
 def _build_cross_boundary(state: State) -> Any:
     """Device function (point, pose): point [m] wrapped across the sheared faces, and decrease of its velocity [m/s].
 

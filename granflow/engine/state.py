@@ -53,8 +53,10 @@ class CellSort(Fields):
     class_order:  particles by class and cell, from `class_start` of a cell
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
-    low, high:    corners [m] of the bounding boxes of `build_bounds`
-    reach:        largest reach [m] of a particle in each of these boxes
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them
+    reach_largest:     largest reach [m] of all particles
+    cell_count:        cells of each grid, and of all size classes
+    present:           number of particles that are not deleted
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:

@@ -114,7 +114,8 @@ class Stepper:
         `pose`: index of the wall poses at the time of the positions.
         """
         began, compiled = clock.perf_counter(), self.timing.compile
-        self._rebuild.run(pose)
+        self._prepare_workers()
+        self._rebuild.run(pose, self._workers.count)
         self.steps_since_rebuild = 0
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1

@@ -20,7 +20,7 @@ HISTORY_SHARE = 0.8
 SPARE = 8
 """Entries per chunk in addition to a share, for chunks with few list entries."""
 
-BOUNDS = 1024
+BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
 SCAN_BLOCK = 1024

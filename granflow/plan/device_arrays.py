@@ -110,6 +110,9 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("low", "position", (BOUNDS,), 3),
         DeviceArray("high", "position", (BOUNDS,), 3),
         DeviceArray("reach", "position", (BOUNDS,)),
+        DeviceArray("reach_largest", "position", (1,)),
+        DeviceArray("cell_count", "i32", (classes[0] + 1,)),
+        DeviceArray("present", "i32", (1,)),
     ]
 
 

@@ -210,11 +210,13 @@ class Plan:
     def reach_max(self) -> float:
         """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the skin.
 
-        Half the skin in a periodic box, for whose images the skin is checked, and at most half the thickness of an
-        outlet, which a particle must not cross between two rebuilds.
+        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of an outlet,
+        which a particle must not cross between two rebuilds, and half the radius at mesh walls, whose cells would
+        contain too many triangles.
         """
         boxes = [outlet.high - outlet.low for outlet in self.outlets if outlet.low is not None]
-        largest = 0.0 if self.periodic_box.axes else min([self.radius_min, *(0.5 * float(box.min()) for box in boxes)])
+        radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
+        largest = 0.0 if self.periodic_box.axes else min([radius, *(0.5 * float(box.min()) for box in boxes)])
         return max(0.5 * self.skin, largest)
 
     @property

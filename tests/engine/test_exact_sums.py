@@ -4,13 +4,15 @@ import hashlib
 
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, particle_group, plane
+from scene_builders import box, build_scene, particle_group, plane, run_to_end
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
 from granflow.engine.exact_sums import CARRY_BITS, exact_sum, exact_totals
 from granflow.engine.threads import workers
+from granflow.errors import RunError
 from granflow.observers.interval import on_interval
+from granflow.plan import sum_units
 from granflow.simulation import Simulation
 
 ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
@@ -88,13 +90,23 @@ def fingerprint(name, chunk_size, skin, threads, rebuild_steps, precision):
     ],
 )
 def test_neighbor_lists_do_not_change_the_bits(name, precision):
-    batched, many = in_subprocess(fingerprint, name, 64, 0.0004, 1, 0, precision)
-    others, few = in_subprocess(fingerprint, name, 37, 0.002, 2, 0, precision)
-    one_by_one, forced = in_subprocess(fingerprint, name, 1, 0.0013, 1, 30, precision)
+    batched, many = in_subprocess(fingerprint, name, 64, 0.0004, 1, 0, precision, seconds=600)
+    others, few = in_subprocess(fingerprint, name, 37, 0.002, 2, 0, precision, seconds=600)
+    one_by_one, forced = in_subprocess(fingerprint, name, 1, 0.0013, 1, 30, precision, seconds=600)
     assert batched[1]["contact_count"] > 0.0 and batched[1]["friction_dissipation"] > 0.0
     assert many > 1.5 * few and forced > few
     assert others == batched
     assert one_by_one == batched
+
+
+def test_force_above_the_range_of_the_sums_aborts_the_run(taichi_f64, monkeypatch):
+    monkeypatch.setattr(sum_units, "FORCE_BITS", 70)  # sums are exact up to 2^(50 - 70) of the largest force
+    positions, velocity = [[0.0, 0.0, 0.0], [0.0101, 0.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    scene = build_scene({"pair": particle_group(positions, velocity=velocity)}, run={"duration": 0.001})
+    with pytest.raises(
+        RunError, match=r"the contact force on particle 0 \(glass, .* is above .* N"
+    ):
+        run_to_end(scene)
 
 
 def test_sums_on_the_host_do_not_depend_on_the_order():

@@ -18,7 +18,17 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-MOTION_READ = ("position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild")
+MOTION_READ = (
+    "position",
+    "velocity",
+    "angular_velocity",
+    "mass",
+    "radius",
+    "force",
+    "torque",
+    "position_at_rebuild",
+    "reach",
+)
 MOTION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
 FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")
 FORCES_WRITTEN = ("force", "torque")

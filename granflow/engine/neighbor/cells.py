@@ -5,8 +5,10 @@
 
 import taichi as ti
 
-from granflow.engine.neighbor.cell_grid import BLOCK_SIDE
 from granflow.plan.plan import BLOCK_CELLS
+
+BLOCK_SIDE = 8
+"""Number of cells along each edge of a block."""
 
 ROUNDING = 1e-5
 """Relative margin of the cell range within a radius, because cell coordinates are rounded."""

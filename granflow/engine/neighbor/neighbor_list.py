@@ -4,55 +4,74 @@ The order of the cells and of the particles in them determines the order of each
 threads.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import taichi as ti
 
 from granflow.engine.frozen_masks import build_can_touch
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
-from granflow.engine.neighbor.cells import adjacent_cells, cell_number, cell_of_point, cells_within, wrapped_cell
+from granflow.engine.neighbor.cells import (
+    BLOCK_SIDE,
+    adjacent_cells,
+    cell_number,
+    cell_of_point,
+    cells_within,
+    wrapped_cell,
+)
+from granflow.engine.neighbor.phases import Phase
 from granflow.engine.neighbor.saved_history import build_restore_history
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 
 
-def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Kernel (count, skin [m], reach [m], pose): fill the neighbor lists with all pairs that can come into contact.
+def fill_phase(state: State) -> Phase:
+    """Fill the neighbor lists, chunk by chunk, with all pairs that can come into contact before the next rebuild.
 
     Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
-    plus half the skin, by which walls may move. `reach`: the largest of all particles.
+    plus half the skin, by which walls may move.
 
     `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
-    repeats the kernel with a larger capacity.
+    repeats this phase with a larger capacity.
 
     Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
-    Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed,
+    Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested
     """
-    particles, neighbors, control, stride = state.particles, state.neighbors, state.control, state.stride
-    real, chunk_size, lists = state.backend.position_real, state.plan.chunk_size, NeighborListFill(state)
-    list_capacity = neighbors.list_capacity_per_chunk
+    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
+    chunk_size, lists, list_capacity = state.plan.chunk_size, NeighborListFill(state), neighbors.list_capacity_per_chunk
 
-    @ti.kernel
-    def fill_neighbor_list(count: ti.i32, skin: real, reach: real, pose: ti.i32):
+    @ti.func
+    def present_count(rebuild):
+        present = 0
+        if rebuild.count > 0:
+            present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
+        return present
+
+    @ti.func
+    def chunk_count(rebuild):
+        return (present_count(rebuild) + chunk_size - 1) // chunk_size
+
+    @ti.func
+    def fill(chunk, rebuild):
+        list_index = chunk * list_capacity
+        for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, present_count(rebuild))):
+            particles.position_at_rebuild[i] = particles.position[i]
+            neighbors.list_begin[i] = list_index
+            owner = ti.Struct(
+                i=i, chunk=chunk, skin=rebuild.skin, reach=sorting.reach_largest[0], pose=rebuild.pose
+            )  # fmt: skip
+            list_index = lists.fill(owner, list_index)
+            neighbors.list_end[i] = list_index
+        ti.atomic_max(control.list_length_needed[0], list_index - chunk * list_capacity)
+
+    @ti.func
+    def finish(rebuild):
+        sorting.present[0] = present_count(rebuild)
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
-        control.list_length_needed[0] = 0
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                list_index = chunk * list_capacity
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
-                    particles.position_at_rebuild[i] = particles.position[i]
-                    neighbors.list_begin[i] = list_index
-                    owner = ti.Struct(i=i, chunk=chunk, skin=skin, reach=reach, pose=pose)
-                    list_index = lists.fill(owner, list_index)
-                    neighbors.list_end[i] = list_index
-                ti.atomic_max(control.list_length_needed[0], list_index - chunk * list_capacity)
 
-    return fill_neighbor_list
+    return Phase(chunk_count, fill, finish)
 
 
 class NeighborListFill:
@@ -145,15 +164,26 @@ class NeighborListFill:
         list_end, cells = list_index, self.sorting.cells[grid]
         for z in range(first[2], end[2]):
             for y in range(first[1], end[1]):
-                for x in range(first[0], end[0]):
-                    cell = cell_number(wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells), cells)
-                    if ti.static(self.by_class):
-                        cell += self.sorting.first_cell[grid]
-                        for k in range(self.sorting.class_start[cell], self.sorting.class_start[cell + 1]):
-                            list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
-                    else:
-                        for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + 1]):
-                            list_end = self._append_if_near(owner, list_end, j, image)
+                x = first[0]
+                while x < end[0]:
+                    cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
+                    # Cells along x are consecutive within a block: their particles are one range.
+                    count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
+                    list_end = self._append_range(owner, list_end, grid, cell_number(cell, cells), count, image)
+                    x += count
+        return list_end
+
+    @ti.func
+    def _append_range(self, owner: ti.template(), list_index, grid, cell, count, image):
+        """Append partners from `count` consecutive cells of a grid."""
+        list_end = list_index
+        if ti.static(self.by_class):
+            begin = self.sorting.first_cell[grid] + cell
+            for k in range(self.sorting.class_start[begin], self.sorting.class_start[begin + count]):
+                list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
+        else:
+            for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + count]):
+                list_end = self._append_if_near(owner, list_end, j, image)
         return list_end
 
     @ti.func

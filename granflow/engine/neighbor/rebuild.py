@@ -1,20 +1,24 @@
-"""Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists."""
+"""Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
 
 from collections.abc import Callable
 
-from granflow.engine.neighbor.cell_grid import update_cell_grids
-from granflow.engine.neighbor.cell_sort import build_bounds, build_class_lists, build_reorder, build_sort
-from granflow.engine.neighbor.deletion import check_coordinates
-from granflow.engine.neighbor.neighbor_list import build_neighbor_list
+import taichi as ti
+
+from granflow.engine.limits import ABORT_FAR
+from granflow.engine.neighbor.cell_sort import bounds_phase, class_phases, sort_phases
+from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.neighbor_list import fill_phase
+from granflow.engine.neighbor.phases import Phase, build_rebuild
+from granflow.engine.neighbor.reorder import reorder_phases
 from granflow.engine.neighbor.saved_history import build_save_history
-from granflow.engine.periodic_box import build_wrap_all
+from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
-from granflow.plan.capacities import BOUNDS, REACH_STEPS, list_capacity_for
+from granflow.plan.capacities import REACH_STEPS, list_capacity_for
 
 
 class NeighborListRebuild:
-    """The kernels of a rebuild, in order.
+    """Runs the phases of a rebuild.
 
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
@@ -24,82 +28,83 @@ class NeighborListRebuild:
 
     def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int], None]) -> None:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
-        self._reach = 0.5 * state.plan.skin
-
-    @property
-    def _reach_time(self) -> float:
-        """Time [s] for which the reach of a particle allows for its velocity."""
-        return REACH_STEPS * self._state.clock.time_step
 
     def compile(self) -> None:
-        """Compile the kernels by launching them on empty ranges."""
+        """Compile the kernel by launching it on an empty range."""
         state = self._state
-        self._wrap = build_wrap_all(state) if state.plan.features.periodic != "none" else None
-        self._bounds, self._sort, self._reorder = build_bounds(state), build_sort(state), build_reorder(state)
-        self._sort_classes = build_class_lists(state) if state.cell_sort.class_order is not None else None
-        self._fill = build_neighbor_list(state)
-        self._save = build_save_history(state) if state.neighbors.history else None
-        self._bounds(0, 0.0, 0.0)
-        if self._wrap is not None:
-            self._wrap(0, 0, 1.0)
-        self._sort(0, 0)
-        if self._sort_classes is not None:
-            self._sort_classes(0, 0)
-        self._reorder(0)
-        self._fill(0, 0.0, 0.0, 0)
-        if self._save is not None:
-            self._save(0)
+        phases = [*_chunk_phases(state), bounds_phase(state), *sort_phases(state), *reorder_phases(state)]
+        if state.cell_sort.class_order is not None:
+            phases += class_phases(state)
+        self._fill = len(phases)
+        self._launch = build_rebuild(state, [*phases, fill_phase(state)])
+        self._launch(1, self._fill, 0, 0.0, 0.0, 0.0, 0)
 
-    def run(self, pose: int) -> None:
+    def run(self, pose: int, workers: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
 
-        `pose`: index of the wall poses at the time of the positions.
+        pose:     index of the wall poses at the time of the positions
+        workers:  number of workers of the launch
         """
-        state = self._state
-        if state.count:
-            deleted = self._sort_particles(pose)
-            if deleted:
-                self._on_deleted(state.count - deleted, state.count)
-                state.count -= deleted
+        state, control = self._state, self._state.control
         mark_rebuild(state)  # displacements of walls count from here
-        self._fill_lists(pose)
-
-    def _sort_particles(self, pose: int) -> int:
-        """Sort the particles in cell order, with their contact histories saved.
-
-        Returns the number of particles to delete, which are behind the others.
-        """
-        state = self._state
-        if self._wrap is not None:
-            self._wrap(state.count, pose, state.clock.time_step)
-        self._bounds(state.count, state.plan.skin, self._reach_time)
-        self._reach = float(state.cell_sort.reach.to_numpy()[: min(state.count, BOUNDS)].max())
-        if state.plan.domain.on_exit == "expand":
-            check_coordinates(state)
-        grids = update_cell_grids(state, self._reach)
-        self._sort(state.count, grids[0].cell_count)
-        self._save_history()
-        self._reorder(state.count)
-        # Deleted particles are in the last cell, behind all others.
-        present = int(state.cell_sort.cell_start[grids[0].cell_count])
-        if self._sort_classes is not None:
-            self._sort_classes(present, sum(grid.cell_count for grid in grids))
-        return state.count - present
-
-    def _save_history(self) -> None:
-        """Copy the contact histories to `saved`; increase the list capacity and repeat if they do not fit."""
-        while self._save is not None:
-            self._save(self._state.count)
-            needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.neighbors.history_capacity_per_chunk:
-                return
-            self._grow(list_capacity_for(needed))
-
-    def _fill_lists(self, pose: int) -> None:
-        """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
+        first, step = 0 if state.count else self._fill, state.clock.time_step
         while True:
-            self._fill(self._state.count, self._state.plan.skin, self._reach, pose)
-            needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.neighbors.list_capacity_per_chunk:
-                return
-            self._grow(needed)
+            self._launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
+            needed = int(control.list_length_needed[0])
+            if first < self._fill and int(control.running[0]) == 0:  # the histories do not fit
+                self._grow(list_capacity_for(needed))
+            elif needed > state.neighbors.list_capacity_per_chunk:
+                self._grow(needed)
+                first = self._fill
+            else:
+                break
+        self._delete()
+
+    def _delete(self) -> None:
+        """Account for the deleted particles, which are behind the others; find one that is too far away."""
+        state = self._state
+        if not state.count:
+            return
+        present = int(state.cell_sort.present[0])
+        if present < state.count:
+            self._on_deleted(present, state.count)
+            state.count = present
+        if state.plan.domain.on_exit == "expand" and int(state.control.abort[0]) == ABORT_FAR:
+            find_farthest(state)
+
+
+def _chunk_phases(state: State) -> list[Phase]:
+    """Wrap the particles and save the contact histories, chunk by chunk; none if neither is needed.
+
+    If the histories do not fit, this phase is the last one.
+
+    Reads:   as `build_wrap` and `build_save_history`
+    Writes:  as these; running, list_length_needed
+    """
+    plan, control, chunk_size, neighbors = state.plan, state.control, state.plan.chunk_size, state.neighbors
+    wraps, saves = plan.features.periodic != "none", bool(neighbors.history)
+    wrap, save_history = build_wrap(state) if wraps else None, build_save_history(state) if saves else None
+    history_capacity = neighbors.history_capacity_per_chunk
+
+    @ti.func
+    def chunk_count(rebuild):
+        return (rebuild.count + chunk_size - 1) // chunk_size
+
+    @ti.func
+    def prepare(chunk, rebuild):
+        first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, rebuild.count)
+        if ti.static(wraps):
+            for i in range(first, last):
+                wrap(chunk, i, rebuild.pose, rebuild.dt)
+        if ti.static(saves):
+            save_history(chunk, first, last)
+
+    @ti.func
+    def check_capacity(rebuild):
+        if ti.static(saves):
+            if control.list_length_needed[0] > history_capacity:
+                control.running[0] = 0
+            else:
+                control.list_length_needed[0] = 0
+
+    return [Phase(chunk_count, prepare, check_capacity)] if wraps or saves else []

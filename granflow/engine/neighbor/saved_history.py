@@ -1,6 +1,5 @@
 """Contact history during the sort: saved before the particles are permuted, restored for each new list entry."""
 
-from collections.abc import Callable
 from typing import Any
 
 import taichi as ti
@@ -8,17 +7,17 @@ import taichi as ti
 from granflow.engine.state import State
 
 
-def build_save_history(state: State) -> Callable[[int], None]:
-    """Kernel (count): copy history entries to `saved`, where `restore_history` finds them.
+def build_save_history(state: State) -> Any:
+    """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
     `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
-    the host repeats the kernel with a larger capacity.
+    the host repeats the rebuild with a larger capacity.
 
     Reads:   neighbor lists, in_contact, history
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
-    neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
-    chunk_size, history_capacity = state.plan.chunk_size, neighbors.history_capacity_per_chunk
+    neighbors, names = state.neighbors, list(state.neighbors.history)
+    history_capacity = neighbors.history_capacity_per_chunk
 
     @ti.func
     def save_entry(list_index, saved_index):
@@ -26,22 +25,18 @@ def build_save_history(state: State) -> Callable[[int], None]:
         for name in ti.static(names):
             neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
 
-    @ti.kernel
-    def save_history(count: ti.i32):
-        state.control.list_length_needed[0] = 0
-        for task in range((count + chunk_size - 1) // chunk_size * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                saved_index = chunk * history_capacity
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
-                    neighbors.list_begin_before[i] = saved_index
-                    for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
-                        if neighbors.in_contact[list_index] == 1:
-                            if saved_index < (chunk + 1) * history_capacity:
-                                save_entry(list_index, saved_index)
-                            saved_index += 1
-                    neighbors.list_end_before[i] = saved_index
-                ti.atomic_max(state.control.list_length_needed[0], saved_index - chunk * history_capacity)
+    @ti.func
+    def save_history(chunk, first, last):
+        saved_index = chunk * history_capacity
+        for i in range(first, last):
+            neighbors.list_begin_before[i] = saved_index
+            for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                if neighbors.in_contact[list_index] == 1:
+                    if saved_index < (chunk + 1) * history_capacity:
+                        save_entry(list_index, saved_index)
+                    saved_index += 1
+            neighbors.list_end_before[i] = saved_index
+        ti.atomic_max(state.control.list_length_needed[0], saved_index - chunk * history_capacity)
 
     return save_history
 
