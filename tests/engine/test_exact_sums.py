@@ -103,9 +103,7 @@ def test_force_above_the_range_of_the_sums_aborts_the_run(taichi_f64, monkeypatc
     monkeypatch.setattr(sum_units, "FORCE_BITS", 70)  # sums are exact up to 2^(50 - 70) of the largest force
     positions, velocity = [[0.0, 0.0, 0.0], [0.0101, 0.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     scene = build_scene({"pair": particle_group(positions, velocity=velocity)}, run={"duration": 0.001})
-    with pytest.raises(
-        RunError, match=r"the contact force on particle 0 \(glass, .* is above .* N"
-    ):
+    with pytest.raises(RunError, match=r"the contact force on particle 0 \(glass, .* is above .* N"):
         run_to_end(scene)
 
 
