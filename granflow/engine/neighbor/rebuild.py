@@ -45,11 +45,12 @@ class NeighborListRebuild:
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
-        state, control = self._state, self._state.control
+        state = self._state
         mark_rebuild(state)  # displacements of walls count from here
         first, step = 0 if state.count else self._fill, state.clock.time_step
         while True:
             self._launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
+            control = state.control  # new fields after each growth
             needed = int(control.list_length_needed[0])
             if first < self._fill and int(control.running[0]) == 0:  # the histories do not fit
                 self._grow(list_capacity_for(needed))
