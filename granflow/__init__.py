@@ -5,6 +5,7 @@ Names are imported at first use: reading a scene does not start Taichi.
 
 import os
 from importlib import import_module
+from inspect import modulesbyfile
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -23,12 +24,18 @@ if TYPE_CHECKING:
     from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
+    from granflow.studies.calibration.calibrate import calibrate
+    from granflow.studies.sweep.sweep import sweep
 
 # Without these, Taichi prints a banner to stdout and sends its version to its developers once a day.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 # Without HOME, as under some job schedulers, Taichi ends the process.
 os.environ.setdefault("HOME", os.path.expanduser("~"))
+# For each decorated function of a module, Taichi asks `inspect` for the module that executes the import, which is not
+# found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
+modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 __all__ = [
     "GranflowError",
@@ -40,6 +47,7 @@ __all__ = [
     "Simulation",
     "Snapshot",
     "analyze_snapshots",
+    "calibrate",
     "estimate_memory",
     "explain",
     "load_scene",
@@ -48,6 +56,7 @@ __all__ = [
     "register_contact_model",
     "start",
     "steady_flow",
+    "sweep",
 ]
 
 _LOCATIONS = {
@@ -60,6 +69,7 @@ _LOCATIONS = {
     "Simulation": "granflow.simulation:Simulation",
     "Snapshot": "granflow.snapshot:Snapshot",
     "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
+    "calibrate": "granflow.studies.calibration.calibrate:calibrate",
     "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",
     "explain": "granflow.plan.explain:explain",
     "load_scene": "granflow.load:load",
@@ -67,6 +77,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build:plan_for",
     "start": "granflow.engine.backend:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
+    "sweep": "granflow.studies.sweep.sweep:sweep",
     "register_contact_model": "granflow.scene.registration:register_contact_model",
     "__version__": "importlib.metadata:version",
 }

@@ -151,8 +151,12 @@ _PARTICLE_FIELDS = {
             dtype="i32", condition=lambda features: features.fixed_particles,
         ),
         FieldSpec(
-            "coordination_number", "Z", "1", "number of contacts of the particle, evaluated for snapshots",
+            "coordination_number", "Z", "1", "number of contacts with other particles, evaluated for snapshots",
             file_type="int32", dtype="i32", sorted=False, saved=False,
+        ),
+        FieldSpec(
+            "wall_contact_count", "", "1", "number of contacts with walls, evaluated for snapshots",
+            file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
         ),
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
@@ -195,7 +199,7 @@ FIELD_QUANTITIES = _by_name(
         Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
         Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
         Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
         Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
     )
 )
@@ -208,12 +212,13 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("queued_count", "", "1", "particles due but queued for lack of space; only with insertion"),
         Quantity("deleted_count", "", "1", "particles deleted at the domain boundary or by outlets"),
         Quantity("deleted_mass", "", "kg", "mass of the particles deleted at the domain boundary or by outlets"),
-        Quantity("contact_count", "Nc", "1", "contacts, each counted once"),
+        Quantity("contact_count", "Nc", "1", "contacts between particles and with walls, each counted once"),
+        Quantity("wall_contact_count", "", "1", "contacts of particles with walls"),
         Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy"),
         Quantity("rotational_energy", "Er", "J", "rotational kinetic energy"),
         Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the radius"),
         Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
-        Quantity("coordination_number", "Z", "1", "mean number of contacts per mobile particle"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, zero at the origin"),
         Quantity("elastic_energy", "Ee", "J", "recoverable energy stored in contacts"),
@@ -235,7 +240,7 @@ TOTAL_QUANTITIES = _by_name(
             "energy_error",
             "",
             "1",
-            "residual of the energy budget over the largest energy input so far (docs/energy.md)",
+            "residual of the energy budget over the largest energy input so far",
         ),
     )
 )
@@ -296,8 +301,13 @@ _INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
     Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
-    Quantity("coordination_number", "Z", "1", "mean number of contacts per particle"),
-    Quantity("mechanical_coordination_number", "Zm", "1", "mean number of contacts per particle without rattlers"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
+    Quantity("wall_coordination_number", "", "1", "mean number of contacts with walls per particle"),
+    Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
+    Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
+    Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
+    Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
     Quantity("content_count", "", "1", "number of particles in a box"),
     Quantity("content_mass", "", "kg", "mass of the particles in a box"),
     Quantity("content_volume", "", "m3", "volume of the particles in a box"),
@@ -325,9 +335,10 @@ RUN_QUANTITIES = _by_name(
         Quantity("step_count", "", "1", "number of completed steps"),
         Quantity("time_step", "dt", "s", "time step"),
         Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
-        Quantity("steps_per_second", "", "1/s", "steps per second of wall-clock time, without compilation"),
+        Quantity("steps_per_second", "", "1/s", "steps per second of computing time: without compilation and output"),
+        Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second of computing time"),
         Quantity(
-            "particle_steps_per_second", "", "1/s", "particle-steps per second of wall-clock time, without compilation"
+            "steps_per_second_of_wall_clock", "", "1/s", "steps per second of `wall_clock`: with compilation and output"
         ),
     )
 )

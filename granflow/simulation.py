@@ -2,24 +2,25 @@
 
 import logging
 from collections.abc import Sequence
+from functools import partial
 from math import inf, isfinite
 from pathlib import Path
 
 from granflow.engine.backend import Arch, Precision, start
 from granflow.engine.engine import Engine
-from granflow.engine.limits import Diagnosis, abort_message
+from granflow.engine.limits import abort_message
 from granflow.errors import RunError
 from granflow.io.checkpoint import Checkpoint
 from granflow.load import Scene
-from granflow.observers.base import Observer
+from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.build import plan_for
-from granflow.plan.memory_check import refuse_too_many, refuse_without_memory
+from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.plan.scene_parts import PlannedStage
-from granflow.runs.initial_particles import initial_state
+from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
 from granflow.runs.result import Result
@@ -30,11 +31,6 @@ from granflow.runs.stage_progress import REST_CHECKS
 from granflow.runs.step_batches import StepBatches
 from granflow.runs.timings import WallClock, collect_result, log_plan
 from granflow.snapshot import Snapshot
-
-ALL_QUANTITIES = frozenset({"particles", "walls", "totals"})
-"""Quantities of a complete snapshot without contacts."""
-TOTALS = frozenset({"totals"})
-"""Quantities of a snapshot that contains totals only."""
 
 
 class Simulation:
@@ -54,6 +50,8 @@ class Simulation:
     plan:           replaces the plan of the scene
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
+
+    `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
 
     `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
     have the same architecture, precision and threads.
@@ -84,16 +82,19 @@ class Simulation:
         refuse_run_time(self.plan, allow_long)
         if backend.on_cpu:
             refuse_without_memory(self.plan)
+        else:
+            refuse_without_device_memory(self.plan, backend.arch)
         change = None if resume is None else accepted_change(resume, scene, self.plan, allow_changes)
         initial, earlier = initial_state(scene, self.plan, particles, resume)
+        self.warnings = warnings_before(scene, self.plan, initial)
         self._insertion = ParticleInsertion(scene, earlier)
         self.files.create()
-        self.observers = ObserverList([*observers_for(self.plan, self.files.path, progress), *observers])
+        own_observers = observers_for(self.plan, self.files.path, progress, self.files.writer)
+        self.observers = ObserverList([*own_observers, *observers])
         self.engine = Engine(self.plan, backend)
         self._state = RunState(self.engine, self._insertion, self.observers, wall_clock, earlier)
         self._progress, self._wall_clock = self._state.progress, wall_clock
-        self._resumed = resume
-        self._batches = StepBatches()
+        self._resumed, self._batches = resume, StepBatches()
         self._stop_requested: BaseException | None = None
         if initial is not None:
             self.engine.insert(initial)
@@ -121,15 +122,8 @@ class Simulation:
 
         `contacts`: also evaluate the contacts.
         """
-        return self._snapshot(ALL_QUANTITIES | ({"contacts"} if contacts else frozenset()))
-
-    def _snapshot(self, quantities: frozenset[str]) -> Snapshot:
-        """Return the requested quantities of the current state."""
-        return self.engine.snapshot(self.stage, quantities)
-
-    def _observe(self, quantities: frozenset[str]) -> Snapshot:
-        """Return the requested quantities for observers, after a check of the stability of the run."""
-        return self.engine.observe(self.stage, quantities)
+        quantities = {PARTICLES, WALLS, TOTALS, *([CONTACTS] if contacts else [])}
+        return self.engine.snapshot(self.stage, frozenset(quantities))
 
     def run(self, until: float | None = None) -> Result:
         """Run all stages, or to the simulated time `until` [s]; return the numbers of the run.
@@ -138,13 +132,10 @@ class Simulation:
         Raises:   RunError on an abort; OutputError if files cannot be written, after a checkpoint if possible
         """
         try:
-            with self.files.open(self.observers.checkpointed().values()):
-                try:
-                    if self.files.path is not None:
-                        log_plan(self.plan, self.engine, self._resumed)
-                    return self._run(until)
-                finally:
-                    self.observers.finish()
+            with self.files.open(self.observers.checkpointed().values()), self.observers.finishing():
+                if self.files.path is not None:
+                    log_plan(self.plan, self.engine, self._resumed, self.warnings)
+                return self._run(until)
         except OSError as error:
             save = self._save if self._progress.target is not None else None
             raise self.files.output_error(error, self.time, save) from error
@@ -158,13 +149,9 @@ class Simulation:
             raise ValueError("A simulation with an output directory cannot take single steps; use run(until).")
         wanted = self.engine.step_count + count
         while (remaining := wanted - self.engine.step_count) > 0:
-            steps = remaining if self.plan.adaptive_time_step is None else 1
-            before = self.engine.step_count
-            self._run_stages(self.time + steps * self.time_step)
-            if self.engine.step_count == before:  # all stages have ended
-                self.engine.advance(remaining)
-                if self.engine.diagnosis is not None:
-                    self._abort(self.engine.diagnosis)
+            target = self.time + (remaining if self.plan.adaptive_time_step is None else 1) * self.time_step
+            self._run_stages(target)
+            self._advance(target)
 
     def restart(self, particles: ParticleData, time_step: float | None = None) -> None:
         """Replace all particles, with initial forces and without contact history; no kernel is compiled.
@@ -182,15 +169,15 @@ class Simulation:
         self._run_stages(end)
         self._save()
         with self._wall_clock.measuring_output():
-            last = self.observers.notify_all(self._observe, TOTALS)
+            last = self.observers.notify_all(partial(self.engine.observe, self.stage), frozenset({TOTALS}))
+            self.files.writer.wait()
         readings = {**self.observers.readings(), "insertion": self._insertion.results()}
         result = collect_result(self.engine, self._wall_clock, last.totals, readings)
         if self.time < end or until is None:
             result = result.with_expectations(self.plan.expectations)
         self._insertion.log_end()
         logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
-        self.files.write(result)
-        return result
+        return self.files.write(result)
 
     def request_stop(self, error: BaseException) -> None:
         """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
@@ -241,11 +228,10 @@ class Simulation:
         self._progress.set_walls(self.engine)
         self._insertion.insert_due(self.engine)
         self.engine.refresh()
-        if self.engine.diagnosis is not None:
-            self._abort(self.engine.diagnosis)
+        self._abort_if_diagnosed()
         if first:
             with self._wall_clock.measuring_output():
-                self.observers.notify_all(self._observe)
+                self.observers.notify_all(partial(self.engine.observe, self.stage))
             self.files.began()
 
     def _next_event(self) -> float:
@@ -264,24 +250,27 @@ class Simulation:
             progress.set_target(max(time, self.time + self.engine.time_step))
         assert progress.target is not None
         self._advance(progress.target)
-        diagnosis = self.engine.diagnosis
-        if diagnosis is not None:
-            self._abort(diagnosis)
         if not progress.arrived:
-            self._insert_and_update_walls()
+            inserted = self._insertion.insert_due(self.engine)
+            if progress.remove_past_changes(self.engine) or inserted:
+                progress.set_walls(self.engine)
+                self.engine.refresh()
             progress.arrived = True
         with self._wall_clock.measuring_output():
-            self.observers.notify_due(self.engine.reached, self._observe)
+            self.observers.notify_due(self.engine.reached, partial(self.engine.observe, self.stage))
         progress.target = None
 
     def _advance(self, target: float) -> None:
-        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written."""
-        while (steps := self.engine.steps_to(target)) > 0 and not self.engine.aborted:
+        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
+
+        Raises RunError if the run exceeds a limit.
+        """
+        while (steps := self.engine.steps_to(target)) > 0:
             if isfinite(self.files.next_checkpoint):
                 steps = min(steps, max(self.engine.steps_to(self.files.next_checkpoint), 1))
             self._batches.advance(self.engine, steps)
-            if not self.engine.aborted:
-                self._handle_requests()
+            self._abort_if_diagnosed()
+            self._handle_requests()
 
     def _handle_requests(self) -> None:
         """Stop if requested, after a checkpoint; write a checkpoint if due."""
@@ -296,18 +285,16 @@ class Simulation:
         with self._wall_clock.measuring_output():
             self.files.save(self.time, self.engine.step_count, self._state.state_dict)
 
-    def _insert_and_update_walls(self) -> None:
-        """Insert particles that are due, and update the presence of walls."""
-        inserted = self._insertion.insert_due(self.engine)
-        if self._progress.remove_past_changes(self.engine) or inserted:
-            self._progress.set_walls(self.engine)
-            self.engine.refresh()
-
-    def _abort(self, diagnosis: Diagnosis) -> None:
-        """Abort: write the state if all its numbers are finite, and raise RunError with the diagnosis."""
+    def _abort_if_diagnosed(self) -> None:
+        """After an abort, write the state if all its numbers are finite, and raise RunError with the diagnosis."""
+        diagnosis = self.engine.diagnosis
+        if diagnosis is None:
+            return
         message = abort_message(diagnosis, self.plan, self.time)
         with self._wall_clock.measuring_output():
-            written = self.observers.notify_all(self._observe, TOTALS, only_finite=True).is_finite
+            written = self.observers.notify_all(
+                partial(self.engine.observe, self.stage), frozenset({TOTALS}), only_finite=True
+            ).is_finite
         raise RunError(message + self.files.note_on_state(written))
 
     def free(self) -> None:

@@ -61,7 +61,7 @@ class Snapshot:
     stage:      name of the stage
     particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are requested
     contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
-    walls:      pose by name, in the order of the scene
+    walls:      pose by name, in the order of the scene; empty if not requested
     totals:     numbers of `TOTAL_QUANTITIES`
     impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and normal force
                 [N s] of the particles on the wall

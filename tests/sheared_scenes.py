@@ -10,10 +10,10 @@ SIZE = 0.04
 """Width of the box [m]."""
 
 
-def sheared_gas(height=0.0, duration=0.01, sizes=(0.0065, 0.0065), output=None, **run):
+def sheared_gas(height=0.0, duration=0.01, sizes=(0.0065, 0.0065), output=None, chunk_size=16, **run):
     """Particles with the velocity profile of the shear about the center of the box, shifted by `height` [m] along y.
 
-    The chunk size is 16, so that the neighbor lists contain pairs within a chunk and pairs across two chunks.
+    With a chunk size of 16 the neighbor lists contain pairs within a chunk and pairs across two chunks.
     """
     rng = np.random.default_rng(8)
     positions = 0.008 * (np.argwhere(np.ones((5, 5, 5))) + 0.5)
@@ -28,7 +28,7 @@ def sheared_gas(height=0.0, duration=0.01, sizes=(0.0065, 0.0065), output=None, 
     return build_scene(
         {"balls": group},
         pair={"friction": 0.4, "restitution": 0.7},
-        numerics={"chunk_size": 16, "skin": 0.0005},
+        numerics={"chunk_size": chunk_size, "skin": 0.0005},
         domain={
             "min": [0.0] * 3,
             "max": [SIZE] * 3,

@@ -65,7 +65,7 @@ def test_versions_are_pinned(dev):
 def test_installed_extras_are_kept_on_reinstall(dev):
     set_up(dev, "slow")
     (dev.ROOT / "constraints.txt").write_text("numpy==2.2.6\n")
-    assert set_up(dev, "run") == ["[dev,plot]"]
+    assert set_up(dev, "run") == [f"[{','.join(sorted(dev.EXTRAS['slow']))}]"]
 
 
 @pytest.mark.parametrize("name", ["pyproject.toml", "constraints.txt"])
@@ -120,6 +120,13 @@ def test_message_about_a_missing_venv_module_contains_the_remedy(dev, monkeypatc
 
 def test_script_parses_on_python_3_7():
     ast.parse((ROOT / "tools" / "dev.py").read_text(), feature_version=(3, 7))
+
+
+def test_docs_are_built_with_their_extras(dev, monkeypatch):
+    assert set_up(dev, "docs")[-1] == "[docs,plot]"
+    monkeypatch.chdir(dev.ROOT)
+    command = dev.command_of("docs", ["--quiet"])
+    assert command[1:] == ["-m", "mkdocs", "build", "--strict", "--config-file", "docs/mkdocs.yml", "--quiet"]
 
 
 @pytest.mark.parametrize(("arguments", "status"), [([], 2), (["bake"], 2), (["--help"], 0)])

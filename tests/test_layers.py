@@ -11,6 +11,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
+    "kernel_language",
+    "device_functions",
     "visible_text",
     "fields",
     "snapshot",
@@ -30,7 +32,7 @@ LAYERS = (
     "__main__",
 )
 """From the lowest layer to the highest. The __init__ of the package re-exports names of all layers."""
-TAICHI_LAYERS = {"contact", "geometry", "engine"}
+TAICHI_LAYERS = {"device_functions", "contact", "geometry", "engine"}
 VAGUE_NAMES = {"util", "utils", "core", "manager", "managers", "helpers", "misc", "common"}
 TOP_LEVEL = {
     *("granflow", "scenes", "tests", "tools", "docs"),
@@ -44,6 +46,7 @@ STUDIES_IMPORT = {
     "granflow.errors",
     "granflow.fields",
     "granflow.scene.suggest",
+    "granflow.scene.validated_file",
     "granflow.visible_text",
 }
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.schema`."""
@@ -145,13 +148,20 @@ def test_imports_have_no_cycles():
     assert not below
 
 
-def test_only_the_taichi_layers_import_taichi():
-    violations = [
-        name
-        for name in modules()
-        if layer(name) not in TAICHI_LAYERS and any(t.split(".")[0] == "taichi" for t in imports(name))
-    ]
-    assert not violations
+def test_one_module_imports_the_kernel_language():
+    packages = {"taichi", "quadrants"}
+    assert not [name for name in modules() if packages & {target.split(".")[0] for target in imports(name)}]
+    users = {name for name in modules() if uses_kernel_language(name)}
+    assert {layer(name) for name in users} == TAICHI_LAYERS
+
+
+def uses_kernel_language(name):
+    """True if a module imports `ti`, or reads it as an attribute of the module of the kernel language."""
+    nodes = list(ast.walk(modules()[name][1]))
+    sources = {"granflow.kernel_language", "granflow.device_functions"}
+    froms = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module in sources]
+    attributes = [ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)]
+    return any(alias.name == "ti" for node in froms for alias in node.names) or "kernel_language.ti" in attributes
 
 
 def test_taichi_modules_do_not_postpone_annotations():
@@ -159,7 +169,7 @@ def test_taichi_modules_do_not_postpone_annotations():
     violations = [
         name
         for name in modules()
-        if layer(name) in TAICHI_LAYERS and "taichi" in imports(name) and "__future__" in imports(name)
+        if layer(name) in TAICHI_LAYERS and uses_kernel_language(name) and "__future__" in imports(name)
     ]
     assert not violations
 
@@ -177,7 +187,7 @@ def test_package_inits_only_re_export(name):
             return node.name in {"__getattr__", "__dir__"}
         if isinstance(node, ast.If):
             return ast.unparse(node.test) == "TYPE_CHECKING"
-        if ast.unparse(node).startswith("os.environ.setdefault("):
+        if ast.unparse(node).startswith(("os.environ.setdefault(", "modulesbyfile.setdefault(")):
             return name == "granflow"
         is_docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))

@@ -1,4 +1,4 @@
-"""Run the adversarial cases and write docs/adversarial.md.
+"""Run the adversarial cases and write docs/pages/reference/invalid_inputs.md.
 
 python tools/adversarial.py                 runs all cases and writes the page
 python tools/adversarial.py NAME ...        runs the cases whose names contain NAME; keeps the other lines of the page

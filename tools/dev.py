@@ -3,7 +3,9 @@
     python3 tools/dev.py run SCENE [arguments of granflow run]
     python3 tools/dev.py test [arguments of pytest]
     python3 tools/dev.py slow [arguments of pytest]      tests that take minutes
+    python3 tools/dev.py gpu-test [arguments of pytest]  tests on Vulkan; prints the missing packages
     python3 tools/dev.py check                           lint, format, types, layers, vocabulary
+    python3 tools/dev.py docs                            build the documentation site into out/site
 
 The first call installs the versions pinned in constraints.txt; later calls install nothing.
 """
@@ -21,7 +23,14 @@ ENVIRONMENT = ROOT / ".venv"
 STAMP = ENVIRONMENT / "granflow-installed.txt"
 UNFINISHED = "unfinished"
 OLDEST, NEWEST = (3, 10), (3, 13)
-EXTRAS = {"run": (), "test": ("dev",), "check": ("dev",), "slow": ("dev", "plot")}
+EXTRAS = {
+    "run": (),
+    "test": ("dev",),
+    "check": ("dev",),
+    "slow": ("dev", "docs", "plot", "sweep", "cluster", "calibrate"),
+    "gpu-test": ("dev", "quadrants"),
+    "docs": ("docs", "plot"),
+}
 
 
 def main(arguments: "list[str]") -> int:
@@ -41,10 +50,13 @@ def command_of(verb: str, rest: "list[str]") -> "list[str]":
         "run": ["-m", "granflow", "run", *rest],
         "test": ["-m", "pytest", "-n", "auto", "--maxprocesses=4", "--dist", "worksteal", *rest],
         "slow": ["-m", "pytest", "-m", "slow", "--timeout=1800", *rest],
+        "gpu-test": ["-m", "pytest", "-m", "gpu and not slow", "-rs", "tests/gpu", *rest],
         "check": [str(ROOT / "tools" / "check.py"), *rest],
+        "docs": ["-m", "mkdocs", "build", "--strict", "--config-file", "docs/mkdocs.yml", *rest],
     }
     if verb != "run":
         os.chdir(str(ROOT))
+    os.environ.setdefault("NO_MKDOCS_2_WARNING", "true")  # the versions are pinned below MkDocs 2
     return [str(environment_python()), *commands[verb]]
 
 
@@ -83,7 +95,8 @@ def install(extras: "tuple[str, ...]") -> None:
     if usable and {inputs, *extras} <= set(installed):
         return
     print(f"Setting up {ENVIRONMENT} (the first time takes a minute or two) ...", file=sys.stderr)
-    extras = tuple(sorted({*extras, *({"dev", "plot"} & set(installed))}))
+    kept = {extra for each in EXTRAS.values() for extra in each} & set(installed)
+    extras = tuple(sorted({*extras, *kept}))
     if not usable:
         make_environment()
     STAMP.write_text(UNFINISHED + "\n")

@@ -54,8 +54,6 @@ MARGIN = 10.0
 LONGEST_JOB = 900.0
 """Time limit of a job [s]."""
 ABSENT = 2
-VULKAN_BUFFER = 1 << 32
-"""Capacity of a Vulkan buffer [bytes]; all fields of a run are in one buffer."""
 
 
 @dataclass
@@ -224,6 +222,8 @@ def bench(
 def exceeds_memory(run: Run, size: int, precision: str) -> str | None:
     """Message if the bed exceeds the free memory of the device, else None."""
     free = run.result["device"]["memory_free"]
+    from granflow.plan.memory_check import VULKAN_BUFFER
+
     needed = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
     if run.options.arch == "vulkan" and needed > VULKAN_BUFFER:
         return f"fields of {needed / 1e9:.1f} GB exceed the Vulkan buffer of {VULKAN_BUFFER / 1e9:.1f} GB"
@@ -309,14 +309,13 @@ def arguments() -> argparse.Namespace:
         "--precisions",
         choices=PRECISIONS,
         nargs="+",
-        help="precisions (all; on Vulkan only f32, since its f64 is not reliable)",
+        help="precisions (all)",
     )
     add("--minutes", type=float, default=60.0, help="time budget in minutes (60)")
     add("--seconds", type=float, help="measured time of each bed in s (6)")
     add("--out", type=Path, metavar="FILE.json", help="file of the results (out/gpu_check-ARCH-DATE-TIME.json)")
     options = parser.parse_args()
-    precisions = ["f32"] if options.arch == "vulkan" else list(PRECISIONS)
-    defaults = {"sizes": list(SIZES), "precisions": precisions, "seconds": 6.0}
+    defaults = {"sizes": list(SIZES), "precisions": list(PRECISIONS), "seconds": 6.0}
     defaults["out"] = Path("out") / f"gpu_check-{options.arch}-{datetime.now():%Y-%m-%d-%H%M}.json"
     for key, value in (defaults | ({"sizes": list(QUICK_SIZES), "seconds": 2.0} if options.quick else {})).items():
         if getattr(options, key) is None:

@@ -193,15 +193,15 @@ MUTATIONS = (
     Mutation(
         "overlap limit, batched",
         "granflow/engine/force/simd_pair_force.py",
-        "distance_limit = reach - plan.max_overlap * radius_min",
-        "distance_limit = reach - 4.0 * plan.max_overlap * radius_min",
+        "check_overlap(i, square, reach, overlap_ratio * radius_min)",
+        "check_overlap(i, square, reach, 4.0 * overlap_ratio * radius_min)",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
         "granflow/engine/force/contact_forces.py",
-        "if overlap > max_overlap * radius_min:",
-        "if overlap > 4.0 * max_overlap * radius_min:",
+        "if overlap > max_overlap() * radius_min:",
+        "if overlap > 4.0 * max_overlap() * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
@@ -221,8 +221,8 @@ MUTATIONS = (
     Mutation(
         "displacement of a free wall",
         "granflow/engine/wall_dynamics.py",
-        "if not step_displacement <= plan.wall_travel_limit:",
-        "if not step_displacement <= 2.0 * plan.wall_travel_limit:",
+        "if not step_displacement <= travel_limit():",
+        "if not step_displacement <= 2.0 * travel_limit():",
         (f"{LIMITS}test_the_displacement_of_a_free_wall_has_the_same_limits",),
     ),
     # Laws and kinematics on the device
@@ -279,8 +279,8 @@ MUTATIONS = (
     Mutation(
         "minimum image at the lower side",
         "granflow/engine/periodic_box.py",
-        "ti.select(branch[axis] < -half, width",
-        "ti.select(branch[axis] < -width, width",
+        "ti.select(branch[axis] < -half, widths[axis]",
+        "ti.select(branch[axis] < -widths[axis], widths[axis]",
         (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(

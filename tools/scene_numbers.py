@@ -1,4 +1,4 @@
-"""Computes the numbers of docs/scenes.md that are not in the result tables of a run from its output files.
+"""Computes the numbers of docs/pages/scenes.md that are not in the result tables of a run from its output files.
 
 python tools/scene_numbers.py column out/column_collapse     aspect ratio, run-out
 python tools/scene_numbers.py drum out/drum                  particles per quadrant over time

@@ -1,6 +1,6 @@
-"""Writes the tables of docs/scenes.md between markers from stored numbers; the tables are not edited by hand.
+"""Writes the tables of docs/pages/scenes.md between markers from stored numbers; the tables are not edited by hand.
 
-python tools/scene_table.py                     write the tables into docs/scenes.md
+python tools/scene_table.py                     write the tables into docs/pages/scenes.md
 python tools/scene_table.py --check             exit code 1 if the tables differ from the stored numbers
 python tools/scene_table.py --record out/mixer  first store the numbers of a finished run from its result.json
 
@@ -23,14 +23,15 @@ from ruamel.yaml import YAML
 from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, SCENES = ROOT / "docs" / "scenes.md", ROOT / "scenes"
+PAGE, SCENES = ROOT / "docs" / "pages" / "scenes.md", ROOT / "scenes"
 COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
 COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "deviation", "run time", "measured")
 
 
 def names() -> list[str]:
-    """Names of the shipped scenes: paths relative to scenes/ without suffix."""
-    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml"))
+    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
+    paths = [path for path in SCENES.rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration")]
+    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in paths)
 
 
 def row(cells: Sequence[str]) -> str:
@@ -135,7 +136,7 @@ def main() -> int:
     before = PAGE.read_text(encoding="utf-8")
     after = written(before)
     if options.check:
-        print("The tables are up to date." if before == after else "docs/scenes.md: run python tools/scene_table.py.")
+        print("The tables are up to date." if before == after else f"{PAGE}: run python tools/scene_table.py.")
         return int(before != after)
     PAGE.write_text(after, encoding="utf-8")
     return 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from granflow.load import Scene
 
-ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan", "metal")
+ARCHITECTURES = ("cpu", "gpu", "cuda", "vulkan")
 """Values of --arch; gpu selects the first available GPU backend."""
 
 PRECISIONS = ("f64", "f32", "mixed")
@@ -99,6 +99,13 @@ def thread_count(text: str) -> int:
     """Convert --threads for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text} is not a number of threads; give a whole number of at least 1")
+    return int(text)
+
+
+def count(text: str) -> int:
+    """Convert a number of jobs or trials for argparse: a whole number, at least 1. Raises ArgumentTypeError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a valid number; give a whole number of at least 1")
     return int(text)
 
 

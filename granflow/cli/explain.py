@@ -29,7 +29,8 @@ def explain(options: argparse.Namespace) -> int:
     from granflow.plan.build import plan_for
     from granflow.plan.explain import explain as explain_plan
 
-    say(explain_plan(plan_for(scene, on_gpu=options.arch != "cpu")))
+    on_gpu = options.arch != "cpu"
+    say(explain_plan(plan_for(scene, on_gpu=on_gpu), on_gpu))
     say(f"\nCost of each feature: granflow explain --measure {options.scene}")
     return 0
 

@@ -10,7 +10,9 @@ from typing import Any
 from granflow.cli.accuracy import add_accuracy
 from granflow.cli.analyze import add_analyze
 from granflow.cli.beverloo import add_beverloo
+from granflow.cli.calibrate import add_calibrate
 from granflow.cli.compare import add_compare
+from granflow.cli.examples import add_example, add_examples
 from granflow.cli.explain import add_explain
 from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
 from granflow.cli.render import add_render
@@ -21,6 +23,7 @@ from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
 from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
+from granflow.cli.sweep import add_sweep
 from granflow.errors import GranflowError
 from granflow.visible_text import visible
 
@@ -82,6 +85,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="granflow", description="Discrete element simulation of granular flow.")
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="print the version and exit")
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
+    add_examples(verbs)
+    add_example(verbs)
     add_run(verbs)
     add_resume(verbs)
     add_check(verbs)
@@ -96,6 +101,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_accuracy(verbs)
     add_compare(verbs)
     add_stability(verbs)
+    add_sweep(verbs)
+    add_calibrate(verbs)
     add_render(verbs)
     add_report(verbs)
     add_cache(verbs)

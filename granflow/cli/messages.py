@@ -77,6 +77,13 @@ def warn(sentences: Iterable[str]) -> None:
         say(visible_line(f"granflow: warning: {sentence}"), file=sys.stderr)
 
 
+def warned(sentences: Iterable[str]) -> list[str]:
+    """Print warnings as `warn` does, and return them."""
+    found = list(sentences)
+    warn(found)
+    return found
+
+
 def exit_code_of(stop: KeyboardInterrupt) -> int:
     """Return the exit code that shells report for a process ended by that signal: 128 plus the signal number."""
     return EXIT_TERMINATED if isinstance(stop, Terminated) else EXIT_INTERRUPTED
@@ -97,8 +104,7 @@ def write_study(out: Path, write: Callable[..., None], *numbers: Any) -> None:
 def show_result(title: str, result: "Result", out: Path) -> None:
     """Print the table of results, the expectations, and the files to open.
 
-    `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED. Particles that
-    were not inserted are reported with their number.
+    `out`: output directory of the run. Expectations that are not satisfied begin with NOT AS EXPECTED.
     """
     from rich.console import Console
 
@@ -107,9 +113,6 @@ def show_result(title: str, result: "Result", out: Path) -> None:
     Console().print(closing_table(result, visible(title)))
     for sentence, met in result.expectations:
         say(sentence if met else f"NOT AS EXPECTED: {sentence}")
-    for group, numbers in result.insertion.items():
-        if numbers["not_inserted_count"]:
-            say(f"{numbers['not_inserted_count']:.0f} {group} were not inserted; reason: {out / 'run.log'}.")
     series = sorted(str(path) for path in out.glob("*.pvd"))
     if series:
         say(f"For ParaView: {', '.join(series)}")

@@ -2,13 +2,13 @@
 
 import argparse
 import logging
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_allow_long, add_machine, simulated_time, thread_count
-from granflow.cli.messages import exit_code_of, print_error, say, show_result, warn
+from granflow.cli.messages import exit_code_of, print_error, say, show_result, warn, warned
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
 from granflow.visible_text import VisibleFormatter
@@ -60,7 +60,8 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     """
     from granflow.simulation import Simulation
 
-    checkpoint = checkpoint_to_resume(out, options.from_start)
+    printed: list[str] = []
+    checkpoint = checkpoint_to_resume(out, options.from_start, printed)
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
@@ -73,23 +74,24 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
         )
     if checkpoint:
         say(f"Continues from {checkpoint.path} at {checkpoint.time:.6g} s.")
-    return run_to_end(simulation, scene, out, options.until)
+    return run_to_end(simulation, scene, out, options.until, printed)
 
 
-def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
+def checkpoint_to_resume(out: Path, from_start: bool, printed: list[str]) -> "Checkpoint | None":
     """Return the newest intact checkpoint, or None to run from the start.
 
     Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
-    otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr.
+    otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr, which are
+    added to `printed`.
     """
     from granflow.io.checkpoint import newest_checkpoint
     from granflow.runs.previous import restore_previous_run, results_in
 
-    warn(restore_previous_run(out))
+    printed += warned(restore_previous_run(out))
     if from_start:
         return None
     checkpoint, skipped = newest_checkpoint(out)
-    warn(skipped)
+    printed += warned(skipped)
     results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
     if checkpoint is None and results and (out / SCENE).exists():
         raise GranflowError(
@@ -97,7 +99,7 @@ def checkpoint_to_resume(out: Path, from_start: bool) -> "Checkpoint | None":
             f"from the start, use granflow resume {out} --from-start."
         )
     if checkpoint is None and (out / SCENE).exists():
-        warn([f"{out} contains neither a checkpoint nor results: the run begins from the start."])
+        printed += warned([f"{out} contains neither a checkpoint nor results: the run begins from the start."])
     return checkpoint
 
 
@@ -117,14 +119,19 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
     return scene_of(checkpoint.scene, str(checkpoint.path), [*options.overrides, *precision])
 
 
-def run_to_end(simulation: "Simulation", scene: "Scene", out: Path, until: float | None) -> int:
-    """Run with signal handling, print the numbers and return the exit code.
+def run_to_end(
+    simulation: "Simulation", scene: "Scene", out: Path, until: float | None, printed: Sequence[str] = ()
+) -> int:
+    """Run with signal handling, print warnings and numbers, and return the exit code.
 
-    `until`: simulated time at which the run ends [s], or None. Returns 1 if an expectation is not satisfied, 130 or 143
+    `until`: simulated time at which the run ends [s], or None. `printed`: warnings on stderr so far, which run.log and
+    result.json contain too. Returns 1 if an expectation is not satisfied, 130 or 143
     after a stop signal.
     """
+    warn(simulation.warnings)
+    simulation.warnings += printed
     try:
-        with deferred_to(simulation.request_stop), warnings_shown():
+        with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
             result = simulation.run(until=until)
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
@@ -145,9 +152,11 @@ def stopped_where(simulation: "Simulation", out: Path) -> str:
 
 
 @contextmanager
-def warnings_shown() -> Iterator[None]:
-    """In the block, print the log records about checkpoints that could not be written to stderr."""
-    logger, handler = logging.getLogger("granflow.checkpoint"), logging.StreamHandler()
+def warnings_shown(shown: Collection[str]) -> Iterator[None]:
+    """In the block, print the warnings of the log to stderr, except those in `shown`."""
+    logger, handler = logging.getLogger("granflow"), logging.StreamHandler()
+    handler.setLevel(logging.WARNING)
+    handler.addFilter(lambda record: record.levelno == logging.WARNING and record.getMessage() not in shown)
     handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
     logger.addHandler(handler)
     try:

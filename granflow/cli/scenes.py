@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_allow_long, add_machine, add_scene_verb, load, simulated_time, thread_count
-from granflow.cli.messages import say, warn
+from granflow.cli.messages import say, warn, warned
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """
     scene = load(options)
     out = options.out or Path("out") / scene.path.stem
-    prepare_output(out, scene, options.overwrite)
+    printed = prepare_output(out, scene, options.overwrite)
     from granflow.cli.resume import run_to_end
     from granflow.io.lock import locked
     from granflow.simulation import Simulation
@@ -33,14 +33,15 @@ def run(options: argparse.Namespace) -> int:
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
     )
-    warn([*simulation.plan.warnings, *restitution_warnings(scene, simulation.plan)])
+    simulation.warnings += restitution_warnings(scene, simulation.plan)
     with locked(out):
-        prepare_output(out, scene, options.overwrite)  # another process may have used the directory in the meantime
-        return run_to_end(simulation, scene, out, options.until)
+        # another process may have used the directory in the meantime
+        printed += prepare_output(out, scene, options.overwrite)
+        return run_to_end(simulation, scene, out, options.until, printed)
 
 
-def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
-    """Check the output directory of a new run.
+def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
+    """Check the output directory of a new run; print and return warnings about it.
 
     Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file from it.
     The new run replaces the earlier one after its first frame.
@@ -49,17 +50,18 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> None:
     from granflow.runs.previous import refuse_inputs_inside, restore_previous_run, results_in
 
     if not out.exists():
-        return
+        return []
     with locked(out):
-        warn(restore_previous_run(out))
+        notes = warned(restore_previous_run(out))
         if not results_in(out):
-            return
+            return notes
         refuse_inputs_inside(scene, out)
         if not overwrite:
             raise GranflowError(
                 f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or "
                 f"continue it with granflow resume {out}."
             )
+        return notes
 
 
 def check(options: argparse.Namespace) -> int:
@@ -72,6 +74,7 @@ def check(options: argparse.Namespace) -> int:
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
+    from granflow.plan.forecast.regions import particle_warnings
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
     from granflow.plan.run_time import refuse_run_time
     from granflow.runs.initial_from_run import particles_from_run
@@ -86,7 +89,7 @@ def check(options: argparse.Namespace) -> int:
     if not fits(plan):
         say(f"{options.scene}: no problems found, but the packing of the particles was not checked.")
         return 0
-    initial_particles(scene, particles_from_run(scene))
+    warn(particle_warnings(scene, plan.walls, initial_particles(scene, particles_from_run(scene))))
     inserters(scene)
     say(f"{options.scene}: no problems found.")
     return 0

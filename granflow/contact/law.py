@@ -1,22 +1,13 @@
-"""Interfaces of the contact models of the four slots: normal, tangential, rolling and cohesion.
+"""Interface of all contact models, and of the normal and cohesion models.
 
 A law is an immutable object with the options of one scene. Its device functions (`ti.func`) take and return values
 only; `constants`, `contact` and `history` are structs:
 
-    constants  `constant_names` of the law, for the pair of materials
+    constants  `constant_names` of the law, for the pair of materials, and `parameters` of the law
     history    `history` of the law: numbers, or 3-vectors, kept from first touch to separation
     contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during approach
 
-A tangential or rolling law also reads, for the first particle of the pair:
-
-    normal, normal_half  unit normal toward the first particle now, and the mean of the previous and the present normal
-    normal_load          force [N] that presses the surfaces together: normal force without attraction
-    stiffness            no-slip tangential stiffness [N/m]
-    stiffness_ratio      ratio of the previous to the present stiffness
-    slip                 relative tangential displacement in this step [m]; tangential laws
-    rolling_rate         relative angular velocity [rad/s]; rolling laws
-    inertia_eff          effective moment of inertia [kg m2]; rolling laws
-    longest_time_step    longest time step of the run [s]; rolling laws
+Tangential and rolling laws read more, see `surface_law`.
 """
 
 from collections.abc import Mapping
@@ -27,8 +18,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import DeviceObject, ti
 from granflow.contact.material import PairMaterial
+from granflow.device_functions import DeviceObject, ti
 
 
 @dataclass(frozen=True)
@@ -40,6 +31,7 @@ class ModelRequest:
     velocity_max:     largest expected impact velocity [m/s]
     unloading_angle:  theta of a model that bounds its unloading tangent by theta^2 M/dt^2
     energy_budget:    whether the run accounts for energies
+    radius_eff_max:   largest effective radius of a contact [m]: that of the largest particle at a wall
     """
 
     options: Mapping[str, Any]
@@ -47,6 +39,7 @@ class ModelRequest:
     velocity_max: float
     unloading_angle: float
     energy_budget: bool = False
+    radius_eff_max: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,10 @@ class HistoryField:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Arguments of a reference implementation for one contact and step, in SI units; members as in the structs."""
+    """Arguments of a reference implementation for one contact and step, in SI units; members as in the structs.
+
+    constants:  pair constants by name; a reference implementation reads the parameters of the law in the law itself
+    """
 
     constants: SimpleNamespace
     radius_eff: float
@@ -90,8 +86,6 @@ class Law(DeviceObject):
     limits: ClassVar[str]
     """Limitations of the model, in one sentence."""
     constant_names: ClassVar[tuple[str, ...]] = ()
-    range: ClassVar[float] = 0.0
-    """Distance [m] at which the model acts without overlap."""
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -113,9 +107,20 @@ class Law(DeviceObject):
         """Number of history components per contact; 0 for a model without history."""
         return sum(each.size for each in self.history)
 
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Numbers of the scene that are the same for all pairs, in SI units, by their names in `constants`.
+
+        The names depend on the features of the model only, so that laws that differ in numbers share compiled kernels.
+        """
+        return {}
+
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Values of `constant_names` for a pair of materials; ValueError for a pair that the model does not support."""
-        return ()
+        """Values of `constant_names` for a pair of materials; by default the pair options of the same names.
+
+        Raises ValueError for a pair that the model does not support.
+        """
+        return tuple(pair.options[name] for name in self.constant_names)
 
 
 @dataclass(frozen=True)
@@ -264,47 +269,38 @@ class NormalLaw(Law):
 
 
 @dataclass(frozen=True)
-class TangentialLaw(Law):
-    """A tangential contact model."""
-
-    @ti.func
-    def force(self, constants, contact, history):
-        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
-    @ti.func
-    def present_force(self, constants, contact, history):
-        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
-
-    @ti.func
-    def limit(self, constants, contact):
-        """Largest tangential force [N]."""
-
-
-@dataclass(frozen=True)
-class RollingLaw(Law):
-    """A rolling model. Torques act on the first particle of a pair, the opposite torques on the second."""
-
-    @ti.func
-    def torque(self, constants, contact, history):
-        """Rolling torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness
-
-
-@dataclass(frozen=True)
 class CohesionLaw(Law):
     """A cohesion model: an attraction in addition to any normal model; it does not press the surfaces together.
 
-    `force` has no branch, as for a normal model.
+    `force` has no branch, as for a normal model. A model that acts at a distance also gets negative overlaps, down to
+    minus its `range`; its first history field is above 0 as long as the contact keeps its history without overlap.
     """
+
+    at_distance: ClassVar[bool] = False
+    """True for a model that acts without overlap, such as a liquid bridge."""
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires overlap."""
+        return 0.0
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The range of a model that acts at a distance; the engine reads it on the device."""
+        return {"range": self.range} if self.at_distance else {}
+
+    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float | None:
+        """Force [N] that separates a pair at rest; None if it depends on the load."""
+        return None
+
+    def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
+        """Impact velocity [m/s] at which a Hertz contact is as stiff as the cohesive contact at rest.
+
+        By default that of a contact that the pull-off force F presses together: a^3 = 3 F R / (4 E).
+        """
+        force = self.pull_off_force(pair, radius_eff) or 0.0
+        contact_radius = float(np.cbrt(0.75 * force * radius_eff / pair.modulus_eff))
+        return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
 
     @ti.func
     def force(self, constants, contact, history):
@@ -317,7 +313,7 @@ class CohesionLaw(Law):
 
     @ti.func
     def lost_energy(self, constants, contact, history):
-        """Dissipated energy [J] that is a function of the history alone."""
+        """Dissipated energy [J] that is a function of the history alone; of an open contact at minus the range."""
         return 0.0 * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:

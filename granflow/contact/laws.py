@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.law import CohesionLaw, HistoryField, Law, NormalLaw, RollingLaw, TangentialLaw
+from granflow.contact.law import CohesionLaw, HistoryField, Law, NormalLaw
 from granflow.contact.material import PairMaterial
+from granflow.contact.surface_law import RollingLaw, TangentialLaw
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,16 @@ class ContactLaws:
         return self.cohesion is not None
 
     @property
+    def acts_at_distance(self) -> bool:
+        """Whether a model acts without overlap."""
+        return self.cohesion is not None and self.cohesion.at_distance
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between two surfaces at which a model acts; 0 if all models require overlap."""
+        return self.cohesion.range if self.cohesion is not None else 0.0
+
+    @property
     def attracts(self) -> bool:
         """Whether the normal force can be attractive."""
         return self.normal.attracts or self.has_cohesion
@@ -51,6 +62,11 @@ class ContactLaws:
     def constant_names(self) -> Mapping[str, tuple[str, ...]]:
         """Names of the pair constants of each slot; a row of the pair constants has them one after another."""
         return {slot: law.constant_names for slot, law in self.by_slot.items()}
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, float]]:
+        """Parameters of each slot by name; on the device, those of all slots are one row."""
+        return {slot: law.parameters for slot, law in self.by_slot.items()}
 
     @property
     def history(self) -> Mapping[str, tuple[HistoryField, ...]]:

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
-from granflow.contact.law import CohesionLaw, Law, NormalLaw, RollingLaw, TangentialLaw
+from granflow.contact.law import CohesionLaw, Law, NormalLaw
 from granflow.contact.options import Option, PairOption
+from granflow.contact.surface_law import RollingLaw, TangentialLaw
 
 RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
 """Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the materials."""

@@ -68,3 +68,15 @@ ROLLING_FRICTION = PairOption(
     "give the coefficient, or 0 to disable rolling friction",
 )
 """Rolling friction, shared by the rolling models."""
+
+WORK_OF_ADHESION = PairOption(
+    "work_of_adhesion",
+    Amount(
+        "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface energy of equal "
+        "materials",
+        *("50 mJ/m2", "surface_energy", "a work of adhesion"),
+        at_least=0,
+    ),
+    "give it in J/m2, or 0 to disable cohesion",
+)
+"""Work of adhesion, shared by the models of dry adhesion."""

@@ -1,14 +1,13 @@
 """Registry of contact models by slot and name. A built-in model is one file and one entry here. No Taichi."""
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 
-from granflow.contact.cohesion import sjkr
+from granflow.contact.cohesion import capillary, dmt, jkr, sjkr, van_der_waals
 from granflow.contact.model import SLOTS, ContactModel
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.options import PairOption
-from granflow.contact.rolling import cdt, epsd
+from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import mindlin
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -60,8 +59,6 @@ def _problems(model: ContactModel) -> Iterator[str]:
         yield "a name has lowercase letters, digits and _, and is not none"
     elif model.name in _MODELS[model.slot]:
         yield f"a {model.slot} model of this name exists"
-    if not (math.isfinite(model.law.range) and model.law.range == 0.0):
-        yield "a range other than 0 is not supported: neighbor lists and walls detect contacts by overlap"
     known = pair_options()
     for option in model.pair_options:
         if not _NAME.fullmatch(option.key) or option.key in ("restitution", "model"):
@@ -72,5 +69,6 @@ def _problems(model: ContactModel) -> Iterator[str]:
             yield f"the key {option.key} of pairs has a default; a physical property has none"
 
 
-for _module in (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono, mindlin, epsd, cdt, sjkr):
+_NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
+for _module in (*_NORMAL, mindlin, epsd, cdt, sds, viscous, sjkr, dmt, jkr, capillary, van_der_waals):
     add(_module.MODEL)

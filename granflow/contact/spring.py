@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import DeviceObject, ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.options import Amount, Choice
+from granflow.contact.power import power
 from granflow.contact.theory import MIN_VELOCITY_SHARE
+from granflow.device_functions import DeviceObject, ti
 
 STIFFNESS = Choice(
     "onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at this "
@@ -37,7 +38,7 @@ def equivalent_spring(constants, contact, velocity):
     K = (4/5) k sqrt(dmax) = (4/5) k (5 M v^2 / (4 k))^(1/5)        k = (4/3) E sqrt(R)
     """
     k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
-    return 0.8 * k * ti.pow(1.25 * contact.mass_eff * velocity * velocity / k, 0.2)
+    return 0.8 * k * power(1.25 * contact.mass_eff * velocity * velocity / k, 0.2)
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,15 @@ class Spring(DeviceObject):
         given: str | Mapping[str, float] = request.options["stiffness"]
         keyed: Mapping[str, float] = {} if isinstance(given, str) else given
         return cls(keyed.get("value"), keyed.get("reference_velocity"), MIN_VELOCITY_SHARE * request.velocity_max)
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The number that determines the stiffness, by its name in `constants`."""
+        if self.value is not None:
+            return {"spring_stiffness": self.value}
+        if self.reference_velocity is not None:
+            return {"spring_velocity": self.reference_velocity}
+        return {"spring_velocity_floor": self.velocity_floor}
 
     @property
     def is_fixed(self) -> bool:
@@ -97,26 +107,30 @@ class SpringLaw(NormalLaw):
         history_new = history
         if ti.static(self.prepares):
             if history_new.spring_stiffness == 0.0:
-                velocity = ti.max(contact.overlap_rate, self.spring.velocity_floor)
+                velocity = 0.0 * contact.overlap_rate
                 if ti.static(self.spring.is_fixed):
-                    velocity = 0.0 * contact.overlap_rate + self.spring.reference_velocity
+                    velocity += constants.spring_velocity
+                else:
+                    velocity = ti.max(contact.overlap_rate, constants.spring_velocity_floor)
                 history_new.spring_stiffness = equivalent_spring(constants, contact, velocity)
         return history_new
 
     @ti.func
-    def stiffness_of(self, contact, history):
+    def stiffness_of(self, constants, contact, history):
         """Stiffness K [N/m] of a contact."""
         value = 0.0 * contact.overlap
         if ti.static(self.prepares):
             value += history.spring_stiffness
         else:
-            value += self.spring.value
+            value += constants.spring_stiffness
         return value
 
     @ti.func
     def tangential_stiffness(self, constants, contact, history):
         """Mindlin's ratio 4 G / E times K [N/m]."""
-        return 4.0 * constants.shear_modulus_eff / constants.modulus_eff * self.stiffness_of(contact, history)
+        return (
+            4.0 * constants.shear_modulus_eff / constants.modulus_eff * self.stiffness_of(constants, contact, history)
+        )
 
     def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Stiffness K [N/m] in a collision of a pair."""

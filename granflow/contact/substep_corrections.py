@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.device import ti
+from granflow.device_functions import ti
 
 
 @ti.func

@@ -100,6 +100,14 @@ def hertz_tangent(pair: PairMaterial, radius_eff: float, mass_eff: float, veloci
     return 1.5 * k * float(np.sqrt(overlap_max(k, mass_eff, velocity)))
 
 
+def velocity_for_radius(modulus: float, radius_eff: float, mass_eff: float, contact_radius: float) -> float:
+    """Impact velocity [m/s] of a Hertz contact that reaches a contact radius a [m].
+
+    M v^2 / 2 = 8 E a^5 / (15 R^2)
+    """
+    return math.sqrt(16.0 * modulus * contact_radius**5 / (15.0 * mass_eff)) / radius_eff
+
+
 def time_scale(k: Number, mass: Number, velocity: Number) -> Number:
     """Time scale [s] of a collision (Eq. 13).
 

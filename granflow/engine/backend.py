@@ -3,24 +3,29 @@
 import atexit
 import logging
 import shutil
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
-import taichi as ti
-from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
-
-from granflow.engine.compilation import guarded
+from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
+from granflow.engine.kernel_source import source_lines
+from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
+from granflow.kernel_language import KERNELS, VARIABLE, ti
 
-Arch = Literal["cpu", "cuda", "vulkan", "metal", "gpu"]
-"""Requested architecture; with "gpu" Taichi selects an available GPU architecture."""
+Arch = Literal["cpu", "cuda", "vulkan", "gpu"]
+"""Requested architecture; "gpu" is CUDA, or Vulkan where that is absent."""
 Precision = Literal["f64", "f32", "mixed"]
 """Floating-point types: f64, f32, or mixed (positions float64, forces and velocities float32)."""
+
+
+MOST_THREADS = 1024
+"""Number of threads in the key of compiled kernels; larger than any pool."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,11 @@ class Backend:
     worker_count: int
 
     @property
+    def types(self) -> dict[str, Any]:
+        """Taichi types by the names of `granflow.fields.DeviceType`."""
+        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32, "i64": ti.i64}
+
+    @property
     def on_cpu(self) -> bool:
         """True if kernels run on the cores of the host."""
         return self.arch == "cpu"
@@ -62,12 +72,14 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     if _started is not None:
         _check_unchanged(_started, arch, precision, threads)
         return _started
-    taichi_arch = getattr(ti, arch)
     ti.set_logging_level(ti.ERROR)  # Taichi would warn about each device that is absent
-    if not _available(arch):
+    name = _resolved(arch)
+    if name is None:
         raise GranflowError(
             f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."
         )
+    if name == "vulkan":
+        refuse_unreliable_vulkan(vulkan_devices())
     real = ti.f64 if precision == "f64" else ti.f32
     position_real = ti.f32 if precision == "f32" else ti.f64
     workers, warning = worker_count(threads)
@@ -76,20 +88,21 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     folder = usable_folder()
     if folder.name.startswith(TEMPORARY):
         atexit.register(_stop_and_remove, folder)
-    ASTTransformerContext.get_pos_info = _position_in_source
-    ti._lib.core.Program.compile_kernel = guarded(ti._lib.core.Program.compile_kernel)
+    if KERNELS == "taichi":
+        ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
+        ti.lang.kernel_impl.getsourcelines = source_lines
+    wrapped = guarded if KERNELS == "taichi" else in_context
+    ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
     _init(
-        arch=taichi_arch,
+        workers,
+        arch=getattr(ti, name),
         default_fp=real,
         fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
         log_level=ti.ERROR,
-        cpu_max_num_threads=workers,
         offline_cache_file_path=str(folder),
     )
-    name = _arch_name(arch)
-    if position_real == ti.f64 and name in ("metal", "vulkan"):
-        raise GranflowError(f"{name} has no reliable float64. Run with --precision f32 there, or on cpu or cuda.")
+    _check_started(name)
     _started = Backend(name, precision, threads, real, position_real, workers)
     return _started
 
@@ -109,36 +122,60 @@ def _position_in_source(context: Any, node: Any) -> str:
     return line + context.src[node.lineno - 1] + "\n"
 
 
-def _init(**options: Any) -> None:
-    """Start Taichi without its messages. Raises GranflowError if it cannot allocate memory."""
+def _init(workers: int, **options: Any) -> None:
+    """Start Taichi with a pool of `workers` threads, without its messages.
+
+    The number of threads is part of the key of compiled kernels, but only limits how many threads of the pool a loop
+    uses. After the start of the pool it is therefore set to MOST_THREADS, so that all pools use the same kernels.
+
+    Raises GranflowError if Taichi cannot allocate memory.
+    """
     with redirect_stdout(StringIO()):  # Taichi prints its version
         try:
-            ti.init(**options)
+            ti.init(cpu_max_num_threads=workers, **options)
+            ti.lang.impl.current_cfg().cpu_max_num_threads = MOST_THREADS
         except RuntimeError as error:
             reason = str(error).rpartition("] ")[2].rstrip(". ")
             raise GranflowError(f"Taichi cannot start: {reason}. Raise the memory limit of the process.") from None
 
 
-def _available(arch: Arch) -> bool:
-    """Whether this build of Taichi supports the architecture on this machine."""
-    if arch == "cpu":
-        return True
-    if arch == "gpu":
-        return any(_available(kind) for kind in ("cuda", "vulkan", "metal"))
-    return bool(ti._lib.core.__dict__[f"with_{arch}"]())
-
-
-def _arch_name(requested: Arch) -> str:
-    """Name of the architecture in use. Taichi falls back to the CPU without an exception."""
-    running = ti.lang.impl.current_cfg().arch
-    for name in ("cuda", "vulkan", "metal"):
-        if running == getattr(ti, name):
+def _resolved(arch: Arch) -> str | None:
+    """The architecture, or the first one that this machine supports for "gpu"; None without support for it."""
+    for name in ("cuda", "vulkan") if arch == "gpu" else (arch,):
+        if name == "cpu" or getattr(ti._lib.core, f"with_{name}")():
             return name
-    if requested != "cpu":
+    return None
+
+
+def _check_started(name: str) -> None:
+    """Raise GranflowError if Taichi fell back to another architecture, which it does without an exception."""
+    if ti.lang.impl.current_cfg().arch != getattr(ti, name):
         raise GranflowError(
-            f"Taichi could not start {requested} here and fell back to the CPU. Leave out --arch to accept that."
+            f"Taichi could not start {name} here and fell back to the CPU. Leave out --arch to accept that."
         )
-    return "cpu"
+
+
+def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
+    """Raise GranflowError if results on Vulkan would be wrong, or a run would end early.
+
+    devices:  all devices of this machine; kernels run on a GPU if there is one
+    """
+    if KERNELS == "taichi":
+        raise GranflowError(
+            "Taichi 1.7 overwrites fields on Vulkan and ends after some 12000 launches. Run pip install "
+            f"'granflow[quadrants]' and set {VARIABLE}=quadrants, or leave out --arch to run on the CPU."
+        )
+    used = min(devices, key=lambda device: device.on_cpu, default=None)
+    if used is not None and used.is_wrong:
+        raise GranflowError(
+            f"The Vulkan driver {used.driver} returns wrong results; llvmpipe is reliable from Mesa "
+            f"{'.'.join(map(str, MESA_MINIMUM))} on. Update Mesa, or leave out --arch to run on the CPU."
+        )
+    if used is not None and not used.has_64_bit:
+        raise GranflowError(
+            f"{used.name} has no 64-bit numbers in Vulkan, and sums are in float64. Use another device, or leave out "
+            "--arch to run on the CPU."
+        )
 
 
 def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:

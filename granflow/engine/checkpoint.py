@@ -127,10 +127,10 @@ class EngineCheckpoint:
         length = saved["list_length"].astype(np.int64)
         chunk = np.arange(state.count) // state.plan.chunk_size
         per_chunk = np.bincount(chunk, weights=length, minlength=1).astype(np.int64)
-        if per_chunk.max() > state.neighbors.list_capacity_per_chunk:
+        if per_chunk.max() > state.capacities.list_entries_per_chunk:
             self.engine.stepper.grow_neighbor_lists(int(per_chunk.max()))
         before_chunk = np.cumsum(per_chunk) - per_chunk
-        begin = chunk * state.neighbors.list_capacity_per_chunk + np.cumsum(length) - length - before_chunk[chunk]
+        begin = chunk * state.capacities.list_entries_per_chunk + np.cumsum(length) - length - before_chunk[chunk]
         lists = {"begin": begin, "middle": begin + saved["list_walls"], "end": begin + length}
         state.built(_list_table).put(np.arange(state.count), lists)
         state.built(_entry_table).put(_consecutive(begin, length), saved)

@@ -12,6 +12,16 @@ around: Callable[[], AbstractContextManager[None]] = nullcontext
 """Context in which kernels are compiled."""
 
 
+def in_context(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Wraps `Program.compile_kernel` of Quadrants, which calls it once per kernel: every call is in `around`."""
+
+    def compile_in_context(*arguments: Any) -> Any:
+        with around():
+            return compile_kernel(*arguments)
+
+    return compile_in_context
+
+
 def guarded(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Wraps `Program.compile_kernel` of Taichi, so that the first call per kernel runs in the context `around`.
 

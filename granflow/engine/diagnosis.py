@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
+from granflow.engine.abort_bodies import Body, ContactPair
 from granflow.engine.force.contact_output import candidate_pairs
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import copy_to_host
@@ -15,8 +16,6 @@ from granflow.engine.limits import (
     ABORT_OVERLAP,
     ABORT_REASONS,
     ABORT_WALL,
-    Body,
-    ContactPair,
     Diagnosis,
 )
 from granflow.engine.state import State
@@ -66,7 +65,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     """
     if code == ABORT_WALL:
         return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken)
-    arrays = copy_to_host(state, FIELDS, 0, state.particles.capacity)
+    arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
     if code in (ABORT_OVERLAP, ABORT_FORCE) and step_taken:
         # The forces belong to the present positions, one step ahead of the time.
@@ -169,14 +168,14 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
     """
     owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
     first = _body(plan, arrays, owner)
-    radius, mass = arrays["radius"][owner], arrays["mass"][owner]
+    radius, mass = float(arrays["radius"][owner]), float(arrays["mass"][owner])
     radius_eff, mass_eff, smaller = radius, mass, radius
     if partner >= 0:
         second = _body(plan, arrays, partner)
         radius_eff = radius * arrays["radius"][partner] / (radius + arrays["radius"][partner])
         both = {name: values[[owner, partner]] for name, values in arrays.items()}
         mass_eff = float(1.0 / (mobility_mask(both) / both["mass"]).sum())
-        smaller = min(radius, arrays["radius"][partner])
+        smaller = min(radius, float(arrays["radius"][partner]))
     else:
         wall = plan.walls[-1 - partner]
         second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
@@ -188,9 +187,27 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
     pair_case = PairCase(
         "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
     )
+    stable = stable_step(pair_case, plan.law, impact_velocity)
     return ContactPair(
-        first, second, overlap, approach, impact_velocity, stable_step(pair_case, plan.law, impact_velocity)
-    )
+        first, second, overlap, approach, impact_velocity, stable, smaller, radius_eff, mass_eff,
+        _weight_pressure(plan, arrays),
+    )  # fmt: skip
+
+
+def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
+    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present bed.
+
+    The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
+    """
+    gravity, mobile = np.array(plan.gravity), (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
+    magnitude = float(np.linalg.norm(gravity))
+    if not magnitude or not mobile.any():
+        return 0.0
+    reach = np.where(mobile, arrays["radius"], 0.0)[mobile, None]
+    size = (arrays["position"][mobile] + reach).max(axis=0) - (arrays["position"][mobile] - reach).min(axis=0)
+    section = np.abs(gravity) / magnitude @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]]
+    planned = sum(group.count for group in plan.groups if not group.fixed) / mobile.sum()
+    return float(magnitude * arrays["mass"][mobile].sum() * planned / section)
 
 
 def _contact_count(candidates: CandidatePairs, *ends: int) -> int:

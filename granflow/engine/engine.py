@@ -1,7 +1,9 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
+import weakref
 from collections.abc import Sequence
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +18,11 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
+from granflow.engine.kept_states import return_state, take_state
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
-from granflow.engine.state import State
+from granflow.engine.state import FreedState, State
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import totals_of
 from granflow.fields import PARTICLE_QUANTITIES
@@ -43,7 +46,9 @@ class Engine:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan = plan
-        self.state = State(plan, backend)
+        self.state: State = take_state(plan, backend)
+        self._return_state = weakref.finalize(self, return_state, self.state)
+        self._return_state.atexit = False
         self.stepper = Stepper(self.state, self._on_deleted)
         self.timing = self.stepper.timing
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
@@ -152,6 +157,7 @@ class Engine:
         """
         counts_energy = self.plan.features.energy_budget and self._walls_changed
         before = self._contact_energy() if counts_energy else 0.0
+        self.stepper.discard_poses()
         self.stepper.refresh(self.step_count)
         if counts_energy:
             self.accounting.inserted_energy += self._contact_energy() - before
@@ -167,8 +173,7 @@ class Engine:
 
     def _contact_energy(self) -> float:
         """Elastic energy and plastic dissipation [J] of the present contacts."""
-        self.stepper.place_walls(self.step_count)
-        measured = self.state.built(ContactStatistics).measure()
+        measured = self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def advance(self, steps: int) -> None:
@@ -203,6 +208,7 @@ class Engine:
         self.steps_since_update = 0
         if adaptive_time_step is None or self.aborted:
             return
+        self.stepper.discard_poses()
         self.stepper.place_walls(self.step_count)
         step = adaptive_time_step.step_for(
             self.state.built(MaxImpactVelocity).measure(), float(np.linalg.norm(self._gravity)) * self.time_step
@@ -210,6 +216,7 @@ class Engine:
         if step != self.time_step:
             self._kick(0.5 * (self.time_step - step))
             self.state.clock.change(step)
+            self.stepper.discard_poses()
 
     def mark_resumed(self, steps_since_update: int) -> None:
         """Continue a resumed run: clock, particles, walls and contacts have been restored."""
@@ -237,12 +244,12 @@ class Engine:
         return self._snapshot(stage, quantities, observed=True)
 
     def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
-        impulses = wall_impulses(self.state)
+        poses = wall_poses(self.state) if "walls" in quantities else {}
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.state.count)}
-            return Snapshot(self.time, self.step_count, stage, {}, None, wall_poses(self.state), count, impulses)
-        self.stepper.place_walls(self.step_count)
-        measured = self.state.built(ContactStatistics).measure()
+            return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
+        pose = self.stepper.place_walls(self.step_count)
+        measured = self.state.built(ContactStatistics).measure(pose)
         names = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
         arrays = self.synchronized(tuple(names))
         energies = mechanical_energy(arrays, self._gravity)
@@ -254,13 +261,16 @@ class Engine:
             arrays["position"], arrays["velocity"], self.time
         )
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
-        contacts = self.state.built(ContactOutput).take(arrays) if "contacts" in quantities else None
-        poses = wall_poses(self.state)
+        contacts = self.state.built(ContactOutput).take(arrays, pose) if "contacts" in quantities else None
+        impulses = wall_impulses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def free(self) -> None:
-        """Free the device memory."""
-        self.state.free()
+        """Give the device memory to later simulations of this process; this engine cannot continue."""
+        if self._return_state.alive:
+            freed: Any = FreedState(self.state)
+            self.state = self.stepper.state = freed
+            self._return_state()
 
     def _on_deleted(self, first: int, last: int) -> None:
         """Add the deleted particles to the accounting: indices `first` to `last`, exclusive, in device order.

@@ -1,18 +1,18 @@
 """Exact sums of contact forces, energies and impulses: terms are rounded to multiples of a unit before they are added.
 
 The order of the terms does not change such a sum. `granflow.plan.sum_units` gives the units. Forces and torques are
-summed in f64, all others as integers, with `control.per_unit` to convert them. Sums over a run are in two words: the
-low one in units, the high one in 2^CARRY_BITS units.
+summed in f64, all others as integers, with the parameter `per_unit` to convert them. Sums over a run are in two words:
+the low one in units, the high one in 2^CARRY_BITS units.
 """
 
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.backend import Backend
 from granflow.engine.limits import ABORT_FORCE
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.sum_units import CARRY_BITS, FORCE, SUM_BITS, TORQUE
 
 LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
@@ -55,7 +55,7 @@ def build_to_grid(real: Any) -> Any:
 
 
 def build_set_forces(state: State) -> Any:
-    """Device function (i, sums of the contact forces and torques): add them to the weight.
+    """Device function (i, sums of the contact forces and torques, gravity [m/s2]): add them to the weight.
 
     Aborts if the sums are above the range in which they are exact.
 
@@ -63,15 +63,15 @@ def build_set_forces(state: State) -> Any:
     Writes:  force, torque, abort, abort_particle
     """
     particles, control, features, real = state.particles, state.control, state.plan.features, state.backend.real
-    gravity, sum_real = [float(g) for g in state.plan.gravity], sum_type(state.backend)
+    per_unit, sum_real = state.parameter("per_unit"), sum_type(state.backend)
 
     @ti.func
-    def set_forces(i, force_sum, torque_sum):
-        particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * ti.Vector(gravity, dt=real)
+    def set_forces(i, force_sum, torque_sum, acceleration):
+        particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * acceleration
         if ti.static(features.rotation):
             particles.torque[i] = ti.cast(torque_sum, real)
-        per_unit = ti.cast(control.per_unit[0], sum_real)
-        force, torque = per_unit[FORCE] * force_sum, per_unit[TORQUE] * torque_sum
+        units = ti.cast(per_unit(), sum_real)
+        force, torque = units[FORCE] * force_sum, units[TORQUE] * torque_sum
         if ti.max(force.norm_sqr(), torque.norm_sqr()) > LIMIT_SQUARED:
             ti.atomic_max(control.abort[0], ABORT_FORCE)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
@@ -80,16 +80,16 @@ def build_set_forces(state: State) -> Any:
 
 
 def build_list_shares(state: State) -> Any:
-    """Device function (i, j): SHARES for a pair in one neighbor list, SHARES / 2 for a pair in two.
+    """Device function (chunk, j): SHARES for a pair in one neighbor list, SHARES / 2 for a pair in two.
 
-    Sums over list entries with this factor count each contact SHARES times.
+    Sums over list entries of the chunk with this factor count each contact SHARES times; j is the partner.
     """
-    chunk_size = state.plan.chunk_size
+    chunk_size = state.parameter("chunk_size")
 
     @ti.func
-    def list_shares(i, j):
-        shares = SHARES
-        if j >= 0 and i // chunk_size != j // chunk_size:
+    def list_shares(chunk, j):
+        shares, first = SHARES, chunk * chunk_size()
+        if j >= 0 and (j < first or j >= first + chunk_size()):
             shares = SHARES // 2
         return shares
 

@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Any
 
-import taichi as ti
+import numpy as np
 
 from granflow.engine.backend import Backend
+from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
 
 
@@ -72,9 +73,16 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
     """A field that is not placed yet; None for an array that the plan does not need."""
     if not array.wanted:
         return None
-    types = {"position": backend.position_real, "real": backend.real, "f64": ti.f64, "i32": ti.i32, "i64": ti.i64}
-    dtype = types[array.dtype]
+    dtype = backend.types[array.dtype]
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
+
+
+def components(field: Any) -> list[Any]:
+    """Scalar fields of the components of a field, row by row."""
+    if not hasattr(field, "n"):
+        return [field]
+    indices = np.ndindex(field.n, field.m)
+    return [field.get_scalar_field(i, j) if field.m > 1 else field.get_scalar_field(i) for i, j in indices]
 
 
 class Fields:

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 FROZEN_MASS_FACTOR = 2.0**60
 """Mass factor of a fixed particle in contacts: the term of its partner's mass is below rounding, also in f64."""

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import taichi as ti
-from taichi.lang.util import to_numpy_type
 
+from granflow.engine.field_block import components
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.kernel_language import ti
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
 
 
@@ -30,9 +30,11 @@ class FieldTable:
         for name, field in self.fields.items():
             is_integer = field.dtype == ti.i32
             first = len(by_type[is_integer])
-            by_type[is_integer] += _components(field)
+            by_type[is_integer] += components(field)
             self._columns[name] = is_integer, slice(first, len(by_type[is_integer]))
-        real = np.result_type(np.float32, *(to_numpy_type(component.dtype) for component in by_type[False]))
+        real = np.result_type(
+            np.float32, *(ti.lang.util.to_numpy_type(component.dtype) for component in by_type[False])
+        )
         self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
         self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
@@ -45,7 +47,7 @@ class FieldTable:
         for name, (is_integer, columns) in self._columns.items():
             part, field = tables[is_integer][:, columns], self.fields[name]
             shaped = part if hasattr(field, "n") else part[:, 0]
-            found[name] = np.ascontiguousarray(shaped, to_numpy_type(field.dtype))
+            found[name] = np.ascontiguousarray(shaped, ti.lang.util.to_numpy_type(field.dtype))
         return found
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:
@@ -60,11 +62,6 @@ class FieldTable:
     def _tables(self, count: int) -> dict[bool, np.ndarray]:
         """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
         return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
-
-
-def _components(field: Any) -> list[Any]:
-    """Scalar fields of the components."""
-    return [field.get_scalar_field(axis) for axis in range(field.n)] if hasattr(field, "n") else [field]
 
 
 def _build_take_and_put(

@@ -11,12 +11,11 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_integrate(state: State) -> Any:
@@ -25,15 +24,14 @@ def build_integrate(state: State) -> Any:
     Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position is
     not finite or a displacement in one step exceeds `plan.travel_limit`.
 
-    Reads:   force, torque, mass, radius, fixed, position_at_rebuild, reach
+    Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle; in
              a periodic box as `build_wrap`
     """
-    plan, particles, control = state.plan, state.particles, state.control
-    features, chunk_size = plan.features, plan.chunk_size
-    mobility, periodic = build_mobility(state), features.periodic != "none"
+    particles, control, features = state.particles, state.control, state.plan.features
+    mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
+    step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
     wrap = build_wrap(state) if periodic else None
-    step_limit = plan.travel_limit**2
 
     @ti.func
     def request_abort(code, i):
@@ -42,8 +40,8 @@ def build_integrate(state: State) -> Any:
 
     @ti.func
     def integrate(chunk, count, pose, dt):
-        rebuild = 0
-        for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+        rebuild, size, abort_above = 0, chunk_size(), step_limit()
+        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
@@ -69,7 +67,7 @@ def build_integrate(state: State) -> Any:
             if ti.static(periodic):
                 wrap(chunk, i, pose, dt)
             # Above this limit a particle could pass another one, or a wall, between two force evaluations.
-            if step_displacement.dot(step_displacement) > step_limit:
+            if step_displacement.dot(step_displacement) > abort_above:
                 request_abort(ABORT_DISPLACEMENT, i)
         if rebuild == 1:
             control.rebuild_requested[0] = 1

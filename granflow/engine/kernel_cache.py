@@ -30,11 +30,11 @@ class CacheContents:
 
 def cache_folder() -> Path:
     """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the platform."""
-    from platformdirs import user_cache_path
-
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named).expanduser().absolute()
+    from platformdirs import user_cache_path
+
     return user_cache_path("granflow", appauthor=False, opinion=False) / "kernels"
 
 

@@ -1,8 +1,10 @@
 """Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the remedies."""
 
 from dataclasses import dataclass
-from math import hypot, isfinite
+from math import isfinite
 
+from granflow.engine.abort_bodies import Body, ContactPair
+from granflow.engine.overlap_cause import SPEED_MARGIN, overlap_cause
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
@@ -26,50 +28,6 @@ ABORT_REASONS = {
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
-
-SPEED_MARGIN = 1.2
-"""Factor from an observed velocity to the recommended `velocity_max`."""
-
-AT_REST = 1e-9
-"""Speed [m/s] below which messages report `at rest`."""
-
-
-@dataclass(frozen=True)
-class Body:
-    """A particle or a wall: name, material, velocity [m/s] at the contact, and position [m] of a particle."""
-
-    name: str
-    material: str
-    velocity: tuple[float, float, float]
-    position: tuple[float, float, float] | None
-
-    @property
-    def speed(self) -> float:
-        """Speed [m/s]."""
-        return hypot(*self.velocity)
-
-    def __str__(self) -> str:
-        """Description for messages: particle 7 (glass, 3.2 m/s)."""
-        moving = f"{self.speed:.3g} m/s" if isfinite(self.speed) else "velocity not a number"
-        return f"{self.name} ({self.material}, {'at rest' if self.speed < AT_REST else moving})"
-
-
-@dataclass(frozen=True)
-class ContactPair:
-    """A contact at the time of the abort.
-
-    overlap:          over the smaller radius
-    approach:         [m/s] along the normal, negative if the bodies separate
-    impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
-    stable_step:      time step [s] that is stable for it
-    """
-
-    first: Body
-    second: Body
-    overlap: float
-    approach: float
-    impact_velocity: float
-    stable_step: float
 
 
 @dataclass(frozen=True)
@@ -113,13 +71,9 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
             f"{description} They overlap initially: move them apart, or raise numerics.max_overlap if this is intended."
         )
     description = f"{description} {_relative_motion(pair)}"
-    if cause := _step_or_speed(pair, plan, diagnosis.time_step):
-        return f"{description} {cause}"
-    soft_materials = " and ".join(dict.fromkeys((pair.first.material, pair.second.material)))
-    return (
-        f"{description} Likely cause: the particles are too soft for this load. Raise young_modulus of "
-        f"{soft_materials}, or raise numerics.max_overlap if such overlaps are intended."
-    )
+    if diagnosis.time_step > pair.stable_step and plan.step.is_given:
+        return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
+    return f"{description} {overlap_cause(pair, plan)}"
 
 
 def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:

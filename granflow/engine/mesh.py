@@ -6,11 +6,11 @@ All coordinates are in the frame of the mesh at rest; triangles are numbered con
 """
 
 import numpy as np
-import taichi as ti
 
 from granflow.geometry.mesh.adjacency import NOT_OWNED, OPEN_EDGE
 from granflow.geometry.mesh.contact import ROUNDING
 from granflow.geometry.shape import FAR_AWAY
+from granflow.kernel_language import ti
 
 EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
 """Relative rounding error of each type."""

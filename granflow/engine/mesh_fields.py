@@ -8,9 +8,9 @@ Lengths are in m, in the precision of positions.
 from typing import Any
 
 import numpy as np
-from taichi.lang.util import to_numpy_type
 
 from granflow.geometry.mesh.adjacency import MeshAdjacency
+from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
 
@@ -21,7 +21,7 @@ def fill_mesh(fields: Any, plan: Plan) -> None:
     arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
     for name, values in arrays.items():
         field = getattr(fields, name)
-        padded = np.zeros((field.shape[0], *values.shape[1:]), to_numpy_type(field.dtype))
+        padded = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
         padded[: len(values)] = values
         field.from_numpy(padded)
 

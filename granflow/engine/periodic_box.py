@@ -9,11 +9,11 @@ positions are.
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.exact_sums import SHARES, to_units
 from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.sum_units import ENERGY
 
@@ -32,14 +32,13 @@ def build_image_index(state: State) -> Any:
 
     Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
     """
-    real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    _, gradient = _lees_edwards_axes(periodic_box)
-    half = 0.5 * float(periodic_box.width[gradient])
+    _, gradient = _lees_edwards_axes(state.plan.periodic_box)
+    width = state.parameter("box_width")
 
     @ti.func
     def image_index(one, other):
-        branch = one[gradient] - other[gradient]
-        return ti.cast(branch > real(half), ti.i32) - ti.cast(branch < -real(half), ti.i32)
+        branch, half = one[gradient] - other[gradient], 0.5 * width()[gradient]
+        return ti.cast(branch > half, ti.i32) - ti.cast(branch < -half, ti.i32)
 
     return image_index
 
@@ -52,22 +51,22 @@ def build_minimum_image(state: State) -> Any:
     Reads:  image_offset
     """
     real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    widths, sheared = [float(width) for width in periodic_box.width], periodic_box.image_motion is not None
+    width, sheared = state.parameter("box_width"), periodic_box.image_motion is not None
     flow, _ = _lees_edwards_axes(periodic_box)
     image_index, offset = build_image_index(state) if sheared else None, state.control.image_offset
 
     @ti.func
     def minimum_image(one, other, pose):
-        branch = one - other
+        branch, widths = one - other, width()
         if ti.static(sheared):
             # The flow axis needs rounding: with the offset, the distance can be more than one and a half widths.
             branch[flow] = branch[flow] - ti.cast(image_index(one, other), real) * offset[pose]
-            branch[flow] = branch[flow] - real(widths[flow]) * ti.round(branch[flow] / real(widths[flow]))
+            branch[flow] = branch[flow] - widths[flow] * ti.round(branch[flow] / widths[flow])
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
-            width, half = real(widths[axis]), real(0.5 * widths[axis])
+            half = 0.5 * widths[axis]
             # One width suffices, because positions are inside the box.
-            above = ti.select(branch[axis] > half, width, 0.0 * width)
-            below = ti.select(branch[axis] < -half, width, 0.0 * width)
+            above = ti.select(branch[axis] > half, widths[axis], 0.0 * widths[axis])
+            below = ti.select(branch[axis] < -half, widths[axis], 0.0 * widths[axis])
             branch[axis] = branch[axis] - above + below
         return branch
 
@@ -84,7 +83,7 @@ def build_shift_by_images(state: State) -> Any:
     real, periodic_box, offset = state.backend.position_real, state.plan.periodic_box, state.control.image_offset
     sheared = periodic_box.image_motion is not None
     flow, gradient = _lees_edwards_axes(periodic_box)
-    height = float(periodic_box.width[gradient])
+    width = state.parameter("box_width")
 
     @ti.func
     def shift_by_images(point, image_index, pose):
@@ -92,7 +91,7 @@ def build_shift_by_images(state: State) -> Any:
         if ti.static(sheared):
             image_count = ti.cast(image_index, real)
             wrapped[flow] = wrapped[flow] - image_count * offset[pose]
-            wrapped[gradient] = wrapped[gradient] - image_count * real(height)
+            wrapped[gradient] = wrapped[gradient] - image_count * width()[gradient]
         return wrapped
 
     return shift_by_images
@@ -125,15 +124,14 @@ def build_wrap_position(state: State) -> Any:
 
     Coordinates along axes that are not periodic are unchanged.
     """
-    real, periodic_box = state.backend.position_real, state.plan.periodic_box
-    lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
+    periodic_axes = state.plan.periodic_box.axes
+    low, width = state.parameter("domain_low"), state.parameter("box_width")
 
     @ti.func
     def wrap_position(point):
-        wrapped = point
-        for axis in ti.static(periodic_box.axes):
-            width = real(widths[axis])
-            wrapped[axis] = point[axis] - width * ti.floor((point[axis] - real(lows[axis])) / width)
+        wrapped, lows, widths = point, low(), width()
+        for axis in ti.static(periodic_axes):
+            wrapped[axis] = point[axis] - widths[axis] * ti.floor((point[axis] - lows[axis]) / widths[axis])
         return wrapped
 
     return wrap_position
@@ -147,17 +145,17 @@ def build_wrap(state: State) -> Any:
     Reads:   position, velocity, mass, force, image_offset, image_speed
     Writes:  position, position_at_rebuild, velocity, velocity_synchronized, boundary_work
     """
-    plan, particles, periodic_box = state.plan, state.particles, state.plan.periodic_box
+    plan, particles, axes = state.plan, state.particles, state.plan.periodic_box.axes
     wrap_position, sheared = build_wrap_position(state), plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
-    add_energy_gain, real = _build_add_energy_gain(state), state.backend.position_real
-    lows, widths = [float(low) for low in periodic_box.low], [float(width) for width in periodic_box.width]
+    add_energy_gain = _build_add_energy_gain(state)
+    low, width = state.parameter("domain_low"), state.parameter("box_width")
 
     @ti.func
     def is_outside(point):
-        outside = False
-        for axis in ti.static(periodic_box.axes):
-            outside = outside or ti.floor((point[axis] - real(lows[axis])) / real(widths[axis])) != 0.0
+        outside, lows, widths = False, low(), width()
+        for axis in ti.static(axes):
+            outside = outside or ti.floor((point[axis] - lows[axis]) / widths[axis]) != 0.0
         return outside
 
     @ti.func
@@ -189,13 +187,13 @@ def _build_add_energy_gain(state: State) -> Any:
     Reads:   velocity, mass, force
     Writes:  boundary_work
     """
-    particles, control, gravity = state.particles, state.control, [float(g) for g in state.plan.gravity]
-    sheared = state.plan.periodic_box.image_motion is not None
+    particles, control, sheared = state.particles, state.control, state.plan.periodic_box.image_motion is not None
+    gravity, per_unit = state.parameter("gravity"), state.parameter("per_unit")
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
         mass = ti.cast(particles.mass[i], ti.f64)
-        gained = -mass * ti.Vector(gravity, dt=ti.f64).dot(ti.cast(shift, ti.f64))
+        gained = -mass * gravity().dot(ti.cast(shift, ti.f64))
         if ti.static(sheared):
             velocity_synchronous = ti.cast(
                 particles.velocity[i] + 0.5 * dt / particles.mass[i] * particles.force[i], ti.f64
@@ -204,7 +202,7 @@ def _build_add_energy_gain(state: State) -> Any:
             gained += mass * (
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
             )
-        gained_units = SHARES * to_units(ti.cast(control.per_unit[0][ENERGY], ti.f64) * gained)
+        gained_units = SHARES * to_units(ti.cast(per_unit()[ENERGY], ti.f64) * gained)
         control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + gained_units
 
     return add_energy_gain
@@ -215,20 +213,19 @@ def _build_cross_boundary(state: State) -> Any:
 
     Reads:  image_offset, image_speed
     """
-    real, position_real, periodic_box, control = (
+    real, control, low, width = (
         state.backend.real,
-        state.backend.position_real,
-        state.plan.periodic_box,
         state.control,
+        state.parameter("domain_low"),
+        state.parameter("box_width"),
     )
-    flow, gradient = _lees_edwards_axes(periodic_box)
-    low, width = float(periodic_box.low[gradient]), float(periodic_box.width[gradient])
+    flow, gradient = _lees_edwards_axes(state.plan.periodic_box)
 
     @ti.func
     def cross_boundary(point, pose):
-        image_count = ti.floor((point[gradient] - position_real(low)) / position_real(width))
+        image_count = ti.floor((point[gradient] - low()[gradient]) / width()[gradient])
         wrapped, velocity_shift = point, ti.Vector.zero(real, 3)
-        wrapped[gradient] = point[gradient] - position_real(width) * image_count
+        wrapped[gradient] = point[gradient] - width()[gradient] * image_count
         wrapped[flow] = point[flow] - image_count * control.image_offset[pose]
         velocity_shift[flow] = ti.cast(image_count, real) * control.image_speed[pose]
         return wrapped, velocity_shift

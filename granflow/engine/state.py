@@ -1,24 +1,25 @@
 """Device arrays. `plan.device_arrays` lists most of them; a field that the plan does not need is None."""
 
 from collections.abc import Callable
-from dataclasses import astuple
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
-from granflow.engine.field_block import FieldBlock, Fields
+from granflow.engine.field_block import FieldBlock, Fields, components
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
+from granflow.engine.parameters import Parameters
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
+from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
-from granflow.plan.capacities import WALL_BATCH, history_capacity
+from granflow.kernel_language import ti
+from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import TORQUE
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -34,7 +35,6 @@ class Particles(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(particle_arrays(plan), backend))
-        self.capacity = max(plan.particle_capacity, 1)
 
     def sorted_fields(self) -> list[Any]:
         """Fields that are permuted with the particles at a neighbor-list rebuild."""
@@ -61,7 +61,12 @@ class CellSort(Fields):
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(cell_arrays(plan), backend))
-        self.cell_capacity = plan.cell_capacity
+
+    def fill(self, plan: Plan) -> None:
+        """Write the radii of the size classes."""
+        radii = np.zeros(self.radius.shape[0], ti.lang.util.to_numpy_type(self.radius.dtype))
+        radii[: len(plan.size_classes)] = plan.size_classes
+        self.radius.from_numpy(radii)
 
 
 class NeighborList(Fields):
@@ -77,15 +82,15 @@ class NeighborList(Fields):
     A pair within a chunk is in one list, a pair across two chunks in both.
     """
 
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
-        fields = block.arrays(neighbor_arrays(plan, list_capacity_per_chunk), backend)
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
+        fields = block.arrays(neighbor_arrays(plan, capacities), backend)
         self.history = {name: fields.pop(f"history.{name}") for name in plan.history}
         self.saved = {name: fields.pop(f"saved.{name}") for name in plan.history}
         super().__init__(fields)
-        self.list_capacity_per_chunk = list_capacity_per_chunk
-        self.history_capacity_per_chunk = history_capacity(list_capacity_per_chunk)
-        self.capacity = plan.chunk_capacity * list_capacity_per_chunk
 
+
+BATCH = 128
+"""Number of contacts at which a batch is complete; no further neighbor list is added."""
 
 LANES = 16
 """Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
@@ -97,16 +102,18 @@ STAGGER = 24
 class PairBatch:
     """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
 
-    The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
+    longest_list:  largest number of candidate pairs of one particle for which a batch suffices
+    sums:          contact force and torque on each particle of the chunk of a worker
 
-    sums:  contact force and torque on each particle of the chunk of a worker
+    The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
     """
 
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend, list_capacity_per_chunk: int) -> None:
+    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
         features, real = plan.features, backend.real
         page = 4096 // 8
-        self.capacity = -(-(list_capacity_per_chunk + LANES) // page) * page + STAGGER
-        worker_parts = block.parts(backend.worker_count)
+        self.capacity = -(-capacities.batch // page) * page + STAGGER
+        self.longest_list = self.capacity - BATCH - LANES
+        worker_parts = block.parts(rounded_capacity(backend.worker_count, WORKERS))
 
         def columns(number: int, dtype: Any = real) -> list[Any]:
             return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
@@ -122,8 +129,9 @@ class PairBatch:
         self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
-        components = 6 if features.rotation else 3
-        self.sums = block.vector(ti.f64, backend.worker_count, plan.chunk_size, count=components)
+        size = 6 if features.rotation else 3
+        workers = rounded_capacity(backend.worker_count, WORKERS)
+        self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
 
 
 class Control(Fields):
@@ -137,11 +145,10 @@ class Control(Fields):
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a chunk
+    list_length_needed:         largest number of entries of a chunk, increased by TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
-    per_unit:                   reciprocal units of the exact sums, in the order of `plan.sum_units`
-    shift:                      numbers that round a force or torque, see `exact_sums.build_to_grid`
+    law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `exact_sums`
     impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
     boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
@@ -159,9 +166,8 @@ class Control(Fields):
         self.list_length_needed = block.scalar(ti.i32, 1)
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
-        self.pair_constants = block.vector(backend.real, len(plan.pair_constants), count=plan.pair_constants.shape[1])
-        self.per_unit = block.vector(backend.real, 1, count=len(astuple(plan.sum_units)))
-        self.shift = block.vector(backend.real, 1, count=2)
+        self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
+        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
@@ -169,17 +175,21 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
-        dtype = np.float64 if self.pair_constants.dtype == ti.f64 else np.float32
-        self.pair_constants.from_numpy(plan.pair_constants.astype(dtype))
-        units = np.array([astuple(plan.sum_units)])
-        self.per_unit.from_numpy((1.0 / units).astype(dtype))
-        self.shift.from_numpy((1.5 * units[:, : TORQUE + 1] / np.finfo(dtype).eps).astype(dtype))
+        dtype = ti.lang.util.to_numpy_type(self.pair_constants.dtype)
+        rows, columns = plan.pair_constants.shape
+        padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
+        padded[:rows] = plan.pair_constants
+        self.pair_constants.from_numpy(padded)
+        if plan.law_parameters:
+            self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
         self.abort_particle[0] = NO_PARTICLE
 
 
 class State:
     """All device data of one plan.
 
+    capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
+    parameters:     numbers of the plan
     count:          number of particles
     clock:          simulated time
     wall_motions:   present motions of each wall
@@ -192,23 +202,46 @@ class State:
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
         self.plan, self.backend = plan, backend
+        self._built: dict[Any, Any] = {}
+        self.capacities = plan.capacities
+        self._allocate()
+        self._begin()
+
+    def reset(self, plan: Plan) -> None:
+        """Begin again with another plan of equal structure; the kernels are those that exist.
+
+        Raises nothing for another structure, see `plan.structure`; the caller compares.
+        """
+        self.plan, self.capacities = plan, replace(self.capacities, chunk_count=plan.chunk_capacity)
+        self.built(_build_clear)()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Write all constant data into arrays of zeros."""
+        plan = self.plan
         self.clock = Clock(plan.time_step)
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
-        self._built: dict[Any, Any] = {}
-        self._allocate(plan.list_capacity_per_chunk)
+        self.parameters.write(plan, self.capacities)
+        self.cell_sort.fill(plan)
         self.walls.fill(plan)
         if self.mesh is not None:
             fill_mesh(self.mesh, plan)
         self.control.fill(plan)
 
-    def _allocate(self, list_capacity_per_chunk: int) -> None:
-        plan, backend, block = self.plan, self.backend, FieldBlock()
+    @property
+    def fields(self) -> list[Any]:
+        """All fields, without the columns of the batch."""
+        return self._block.fields
+
+    def _allocate(self) -> None:
+        plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock()
         self._block = block
+        self.parameters = Parameters(block, plan, capacities, backend)
         self.particles = Particles(block, plan, backend)
-        self.neighbors = NeighborList(block, plan, backend, list_capacity_per_chunk)
+        self.neighbors = NeighborList(block, plan, capacities, backend)
         batched = backend.on_cpu and plan.chunk_size > 1
-        self.batch: Any = PairBatch(block, plan, backend, list_capacity_per_chunk) if batched else None
+        self.batch: Any = PairBatch(block, plan, capacities, backend) if batched else None
         self.cell_sort = CellSort(block, plan, backend)
         self.walls = Walls(block, plan, backend)
         self.wall_dynamics: Any = WallDynamicsFields(block, plan, backend) if plan.controlled_motions else None
@@ -226,6 +259,10 @@ class State:
         """Number of chunks that contain particles."""
         return -(-self.count // self.plan.chunk_size)
 
+    def parameter(self, name: str) -> Any:
+        """Device function (): a parameter of the plan, see `Parameters`."""
+        return self.parameters.reader(name)
+
     def built(self, build: Callable[..., Built], *options: Any) -> Built:
         """Return `build(state, *options)`, built at first use, and again after the fields have been reallocated.
 
@@ -237,21 +274,23 @@ class State:
         found: Built = self._built[key]
         return found
 
-    def grow_neighbor_list(self, list_capacity_per_chunk: int, build: Callable[[], None]) -> None:
-        """Reallocate all fields with a larger list capacity per chunk, build all kernels again, restore the values.
+    def grow_neighbor_list(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        """Reallocate all fields with larger neighbor lists, build all kernels again, restore the values.
 
-        list_capacity_per_chunk:  new number of entries
-        build:                    builds the kernels; it may launch them on empty ranges, because the restored values
-                                  overwrite their output
+        capacities:  new lengths of the arrays
+        build:       builds the kernels; it may launch them on empty ranges, because the restored values overwrite their
+                     output
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self.free()
-        self._allocate(list_capacity_per_chunk)
+        self.capacities = capacities
+        self._allocate()
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
             padded = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
             padded[: len(values)] = values
             field.from_numpy(padded)
+        self.parameters.write(self.plan, capacities)
 
     def free(self) -> None:
         """Free all device memory."""
@@ -260,3 +299,34 @@ class State:
                 each.block.free()
         self._built.clear()
         self._block.free()
+
+
+class FreedState:
+    """What remains of the state of an engine that has been freed."""
+
+    def __init__(self, state: State) -> None:
+        self.plan, self.backend, self.capacities = state.plan, state.backend, state.capacities
+        self.clock, self.count, self.wall_motions = state.clock, state.count, state.wall_motions
+
+    def __getattr__(self, name: str) -> Any:
+        raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
+
+
+def _build_clear(state: State) -> Callable[[], None]:
+    """Kernel (): fill all fields with zeros.
+
+    Writes:  all fields of the state
+    """
+    by_shape: dict[tuple[int, ...], list[Any]] = {}
+    for field in state.fields:
+        by_shape.setdefault(field.shape, []).extend(components(field))
+    groups = list(by_shape.values())
+
+    @ti.kernel
+    def clear():
+        for group in ti.static(groups):
+            for index in ti.grouped(group[0]):
+                for component in ti.static(group):
+                    component[index] = 0
+
+    return clear

@@ -6,11 +6,18 @@ If a neighbor-list rebuild is due, all further phases of a launch do nothing.
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
+from granflow.engine.force.contact_forces import build_forces
+from granflow.engine.integrate import build_integrate
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
-from granflow.engine.wall_dynamics import move_walls
+from granflow.engine.wall_dynamics import build_move_walls
+from granflow.kernel_language import ti
+
+
+def build_steps(state: State) -> Callable[..., None]:
+    """The kernel of the time steps on the device of the state."""
+    build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
+    return build(state, build_integrate(state), build_forces(state))
 
 
 def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
@@ -24,7 +31,8 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     Reads:   as the phases
     Writes:  as the phases; rebuild_due, steps_done
     """
-    control, real, plan, wall_dynamics = state.control, state.backend.real, state.plan, state.wall_dynamics
+    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
+    move_walls = build_move_walls(state) if force_controlled else None
 
     @ti.kernel
     def step_on_gpu(
@@ -34,10 +42,10 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
         for chunk in range(moving * chunks):
             if control.rebuild_due[0] == 0 and control.abort[0] == 0:
                 integrate(chunk, count, pose + control.steps_done[0], dt)
-        if ti.static(plan.features.force_controlled_walls):
+        if ti.static(force_controlled):
             for _ in range(moving):
                 if control.rebuild_due[0] == 0 and control.abort[0] == 0:
-                    move_walls(wall_dynamics, plan, control, chunks, pose + control.steps_done[0], dt)
+                    move_walls(chunks, pose + control.steps_done[0], dt)
         if moving == 1:
             control.rebuild_due[0] = control.rebuild_requested[0]
         for chunk in range(forcing * chunks):
@@ -87,7 +95,8 @@ class CpuSteps:
     """
 
     def __init__(self, state: State, integrate: Any, forces: Any) -> None:
-        self.control, self.plan, self.wall_dynamics = state.control, state.plan, state.wall_dynamics
+        self.control, self.force_controlled = state.control, state.plan.features.force_controlled_walls
+        self.move_walls = build_move_walls(state) if self.force_controlled else None
         self.integrate, self.forces = integrate, forces
 
     @ti.func
@@ -134,10 +143,10 @@ class CpuSteps:
     def _prepare_phase(self, launch: ti.template(), number, computes_forces):
         """Move the walls after the integration, count the step after the forces, and decide whether to continue."""
         self.control.next_chunk[CACHE_LINE] = 0
-        if ti.static(self.plan.features.force_controlled_walls):
+        if ti.static(self.force_controlled):
             if computes_forces == 0:
                 pose = launch.pose + self.control.steps_done[0]
-                move_walls(self.wall_dynamics, self.plan, self.control, launch.chunks, pose, launch.dt)
+                self.move_walls(launch.chunks, pose, launch.dt)
         if computes_forces == 1 and self.control.rebuild_due[0] == 0 and self.control.abort[0] == 0:
             self.control.steps_done[0] = self.control.steps_done[0] + 1
         self.control.rebuild_due[0] = self.control.rebuild_requested[0]

@@ -9,17 +9,14 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import taichi as ti
-
-from granflow.engine.force.contact_forces import build_forces
-from granflow.engine.integrate import build_integrate
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
-from granflow.engine.state import State
-from granflow.engine.step_kernels import build_cpu_steps, build_gpu_step
+from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
-from granflow.plan.capacities import WALL_BATCH, grown_capacity
+from granflow.kernel_language import ti
+from granflow.plan.capacities import WALL_BATCH
 
 GPU_BATCH = 16
 """Number of GPU steps between two reads of the flags; on a GPU each step is a separate launch."""
@@ -89,15 +86,15 @@ class Stepper:
         self._rebuild = NeighborListRebuild(state, on_deleted, self.grow_neighbor_lists)
         self._workers = Workers(state)
         self._pose = WALL_BATCH if state.plan.has_poses else 0
+        self._first_pose_step: int | None = None
         self._step_seconds = 0.0
         self._compile()
 
     def _compile(self) -> None:
-        """Compile all phases by launching them on empty ranges; repeated after a reallocation of the fields."""
+        """Compile all phases, unless the state has them, by launching them on empty ranges."""
         began, state = clock.perf_counter(), self.state
         self._rebuild.compile()
-        build = build_cpu_steps if state.backend.on_cpu else build_gpu_step
-        self._step = build(state, build_integrate(state), build_forces(state))
+        self._step = state.built(build_steps)
         self._step(0, 1, 0, 0, 0, 0.0, 1, 1)
         self.timing.compile += clock.perf_counter() - began
 
@@ -120,10 +117,14 @@ class Stepper:
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1
 
-    def grow_neighbor_lists(self, needed: int) -> None:
-        """Increase the list capacity per chunk to at least `needed` entries and build all kernels again."""
+    def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
+        """Increase the arrays of the neighbor lists and build all kernels again.
+
+        needed:   smallest number of list entries per chunk
+        longest:  smallest length of a list for which a batch suffices
+        """
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(grown_capacity(needed), self._compile)
+        self.state.grow_neighbor_list(self.state.capacities.grown(needed, longest + BATCH + LANES), self._compile)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces at the present positions.
@@ -141,18 +142,28 @@ class Stepper:
 
         Contact displacements do not change.
         """
-        self.place_walls(step)
-        self.rebuild_neighbor_lists()
-        self.forces(history_step=0.0)
+        pose = self.place_walls(step)
+        self.rebuild_neighbor_lists(pose)
+        self.forces(pose, history_step=0.0)
 
-    def place_walls(self, step: int) -> None:
-        """Upload the wall poses after step number `step`, as pose 0."""
-        if self.state.plan.has_poses:
+    def place_walls(self, step: int) -> int:
+        """Index of the wall poses after step number `step`; uploads them unless they are on the device."""
+        if not self.state.plan.has_poses:
+            return 0
+        first = self._first_pose_step
+        if first is None or not 0 <= step - first < WALL_BATCH:
             self._upload(step)
-            self._pose = WALL_BATCH
+            self._pose, first = 1, step
+        return step - first
+
+    def discard_poses(self) -> None:
+        """Upload the poses again before their next use, because motions or the time step have changed."""
+        if self.state.plan.has_poses:
+            self._pose, self._first_pose_step = WALL_BATCH, None
 
     def _upload(self, step: int) -> None:
         """Upload the poses of walls and images from step number `step`."""
+        self._first_pose_step = step
         if self.state.plan.features.moving_walls:
             upload_poses(self.state, step)
         if self.state.plan.features.lees_edwards:

@@ -30,7 +30,7 @@ def totals_of(
 ) -> dict[str, float]:
     """Totals of the present state by name, SI units.
 
-    arrays:    coordination_number and mass (n,), fixed (n,) if some particles are fixed
+    arrays:    coordination_number and mass (n,), wall_contact_count (n,) with walls, fixed (n,) with fixed particles
     energies:  kinetic, rotational and gravitational energy [J]
     measured:  totals of ContactStatistics
     """
@@ -47,6 +47,8 @@ def totals_of(
         "overlap_largest": measured["overlap_largest"],
         "coordination_number": float(mobile @ arrays["coordination_number"]) / max(mobile.sum(), 1.0),
     }
+    if plan.features.walls:
+        totals["wall_contact_count"] = float(arrays["wall_contact_count"].sum())
     if plan.features.lees_edwards:
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:

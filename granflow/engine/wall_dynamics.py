@@ -13,13 +13,28 @@ integrated in the same phase of the step.
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.exact_sums import to_units
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
+from granflow.kernel_language import ti
 from granflow.plan.sum_units import WALL_FORCE
+
+
+class MotionParameters:
+    """Device functions (): the parameters of one force-controlled motion, and its kind."""
+
+    def __init__(self, state: State, index: int) -> None:
+        self.is_servo = state.plan.controlled_motions[index].kind == "servo"
+        self.wall, self.direction, self.force, self.gain, self.velocity_max, self.mass, self.damping = (
+            state.parameter(f"motion.{index}.{name}")
+            for name in ("wall", "direction", "force", "gain", "velocity_max", "mass", "damping")
+        )
+
+
+def _motions(state: State) -> list[MotionParameters]:
+    return [MotionParameters(state, index) for index in range(len(state.plan.controlled_motions))]
 
 
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
@@ -31,66 +46,76 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 
     Writes:  wall_force
     """
-    controlled_motions, fields, control = state.plan.controlled_motions, state.wall_dynamics, state.control
+    motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit")
 
     @ti.func
     def clear_wall_forces(chunk):
-        for r in ti.static(range(len(controlled_motions))):
+        for r in ti.static(range(len(motions))):
             fields.wall_force[chunk, r] = 0
 
     @ti.func
     def add_wall_force(chunk, w, force):
-        for r in ti.static(range(len(controlled_motions))):
-            if w == controlled_motions[r].wall:
-                force_along = ti.cast(force, ti.f64).dot(ti.Vector(controlled_motions[r].direction, dt=ti.f64))
-                in_units = to_units(ti.cast(control.per_unit[0][WALL_FORCE], ti.f64) * force_along)
+        for r in ti.static(range(len(motions))):
+            if w == motions[r].wall():
+                force_along = ti.cast(force, ti.f64).dot(motions[r].direction())
+                in_units = to_units(ti.cast(per_unit()[WALL_FORCE], ti.f64) * force_along)
                 fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
 
     return clear_wall_forces, add_wall_force
 
 
-@ti.func
-def move_walls(fields: ti.template(), plan: ti.template(), control: ti.template(), chunks, pose, dt_real):
-    """Move all force-controlled walls by one step, on one thread.
+def build_move_walls(state: State) -> Any:
+    """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
 
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
-    dt = ti.cast(dt_real, ti.f64)
-    motions = ti.static(plan.controlled_motions)
-    for r in ti.static(range(len(motions))):
-        force_sum, velocity = ti.cast(0, ti.i64), ti.cast(0.0, ti.f64)
-        for chunk in range(chunks):
-            force_sum += fields.wall_force[chunk, r]
-        force_on_wall = ti.cast(force_sum, ti.f64) / ti.cast(control.per_unit[0][WALL_FORCE], ti.f64)
-        if fields.active[pose, r] == 1:
-            velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
-            _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
-        fields.velocity[r] = velocity
-        fields.was_active[r] = fields.active[pose, r]
-        fields.offset[r] = fields.offset[r] + dt * velocity
-    # A second loop, because a wall can have several motions.
-    for r in ti.static(range(len(motions))):
-        displacement, step_displacement = _wall_displacements(fields, motions, motions[r].wall, dt)
+    motions, fields, control = _motions(state), state.wall_dynamics, state.control
+    displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
+    per_unit = state.parameter("per_unit")
+
+    @ti.func
+    def check_displacements(r: ti.template(), dt):
+        displacement, step_displacement = _wall_displacements(fields, motions, motions[r].wall(), dt)
         # The negations are also true for NaN.
-        if not displacement <= plan.wall_displacement_limit:
+        if not displacement <= displacement_limit():
             control.rebuild_requested[0] = 1
-        if not step_displacement <= plan.wall_travel_limit:
+        if not step_displacement <= travel_limit():
             ti.atomic_max(control.abort[0], ABORT_WALL)
+
+    @ti.func
+    def move_walls(chunks, pose, dt_real):
+        dt = ti.cast(dt_real, ti.f64)
+        for r in ti.static(range(len(motions))):
+            force_sum, velocity = ti.cast(0, ti.i64), ti.cast(0.0, ti.f64)
+            for chunk in range(chunks):
+                force_sum += fields.wall_force[chunk, r]
+            force_on_wall = ti.cast(force_sum, ti.f64) / ti.cast(per_unit()[WALL_FORCE], ti.f64)
+            if fields.active[pose, r] == 1:
+                velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
+                _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
+            fields.velocity[r] = velocity
+            fields.was_active[r] = fields.active[pose, r]
+            fields.offset[r] = fields.offset[r] + dt * velocity
+        # A second loop, because a wall can have several motions.
+        for r in ti.static(range(len(motions))):
+            check_displacements(r, dt)
+
+    return move_walls
 
 
 @ti.func
 def _controlled_velocity(fields: ti.template(), motion: ti.template(), r: ti.template(), force_on_wall, dt):
     """Velocity [m/s] of motion r at the next half step; the first kick of a free wall is half a step."""
     velocity = fields.velocity[r]
-    if ti.static(motion.kind == "servo"):
-        velocity = motion.gain * (motion.force + force_on_wall)
-        velocity = ti.max(ti.min(velocity, motion.velocity_max), -motion.velocity_max)
+    if ti.static(motion.is_servo):
+        velocity = motion.gain() * (motion.force() + force_on_wall)
+        velocity = ti.max(ti.min(velocity, motion.velocity_max()), -motion.velocity_max())
     else:
-        kick = dt / motion.mass * (motion.force + force_on_wall)
+        kick = dt / motion.mass() * (motion.force() + force_on_wall)
         if fields.was_active[r] == 0:
             kick = 0.5 * kick
-        drag = 0.5 * motion.damping * dt / motion.mass
+        drag = 0.5 * motion.damping() * dt / motion.mass()
         velocity = ((1.0 - drag) * velocity + kick) / (1.0 + drag)
     return velocity
 
@@ -103,35 +128,41 @@ def _add_work(fields: ti.template(), motion: ti.template(), r: ti.template(), fo
     if fields.was_active[r] == 0:
         displacement = 0.5 * displacement
     fields.work_on_particles[r] = fields.work_on_particles[r] - force_on_wall * displacement
-    if ti.static(motion.kind == "free"):
-        fields.work[r] = fields.work[r] + (motion.force - motion.damping * velocity_mean) * displacement
+    if ti.static(not motion.is_servo):
+        fields.work[r] = fields.work[r] + (motion.force() - motion.damping() * velocity_mean) * displacement
 
 
 @ti.func
-def _wall_displacements(fields: ti.template(), motions: ti.template(), wall: ti.template(), dt):
+def _wall_displacements(fields: ti.template(), motions: ti.template(), wall, dt):
     """Largest displacement of a wall since the rebuild, and in this step [m]."""
     displacement, step_displacement = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
     for r in ti.static(range(len(motions))):
-        if ti.static(motions[r].wall == wall):
+        if motions[r].wall() == wall:
             displacement += ti.abs(fields.offset[r] - fields.offset_at_rebuild[r])
             step_displacement += ti.abs(dt * fields.velocity[r])
     return displacement, step_displacement
 
 
-@ti.func
-def controlled_vector(state: ti.template(), values: ti.template(), w):
-    """Sum over the force-controlled motions of wall w of a field times the direction; zero for other walls.
+def build_controlled_vector(state: State, values: Any) -> Any:
+    """Device function (w): sum over the force-controlled motions of wall w of a field times the direction.
 
     values:  field with an entry per motion, such as `offset` [m] or `velocity` [m/s]
 
+    The vector is zero for other walls, and without force-controlled motions.
+
     Reads:  values
     """
-    motions = ti.static(state.plan.controlled_motions)
-    total = ti.Vector.zero(state.backend.position_real, 3)
-    for r in ti.static(range(len(motions))):
-        if w == motions[r].wall:
-            total += ti.cast(values[r] * ti.Vector(motions[r].direction, dt=ti.f64), state.backend.position_real)
-    return total
+    motions, real = _motions(state), state.backend.position_real
+
+    @ti.func
+    def controlled_vector(w):
+        total = ti.Vector.zero(real, 3)
+        for r in ti.static(range(len(motions))):
+            if w == motions[r].wall():
+                total += ti.cast(values[r] * motions[r].direction(), real)
+        return total
+
+    return controlled_vector
 
 
 def upload_running(state: State, times: np.ndarray) -> None:

@@ -1,11 +1,10 @@
 """Device fields of walls."""
 
-import taichi as ti
-
 from granflow.engine.backend import Backend
 from granflow.engine.field_block import FieldBlock, Fields
 from granflow.geometry.catalog import surface_code
 from granflow.geometry.shape import PARAMETER_COUNT, Shape
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 from granflow.plan.device_arrays import wall_dynamics_arrays
 from granflow.plan.plan import Plan
@@ -28,7 +27,7 @@ class Walls:
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        count = max(len(plan.walls), 1)
+        count = plan.capacities.walls
         self.kind = block.scalar(ti.i32, count)
         self.parameters = block.vector(backend.position_real, count, count=PARAMETER_COUNT)
         self.material = block.scalar(ti.i32, count)

@@ -3,15 +3,15 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.mesh import triangle_contact
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
-from granflow.engine.wall_dynamics import controlled_vector, upload_running
+from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.motion import pose
 from granflow.geometry.shape import FAR_AWAY, Shape
+from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
 
 
@@ -27,9 +27,14 @@ class WallGeometry:
     def __init__(self, state: State) -> None:
         shapes = [wall.shape for wall in state.plan.walls if isinstance(wall.shape, Shape)]
         self.state, self.walls, self.features = state, state.walls, state.plan.features
-        self.wall_count, self.wall_of = len(state.plan.walls), build_wall_of(state)
+        self.wall_count, self.wall_of = state.parameter("wall_count"), build_wall_of(state)
         self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
         self.wrap_position = build_wrap_position(state)
+        fields = state.wall_dynamics
+        self.controlled_offset, self.controlled_velocity = (
+            build_controlled_vector(state, None if fields is None else getattr(fields, name))
+            for name in ("offset", "velocity")
+        )
 
     @ti.func
     def to_wall_frame(self, w, pose, point):
@@ -63,8 +68,8 @@ class WallGeometry:
             if self.walls.kind[w] == code:
                 gap, normal = SHAPE_KINDS[code].closest(local, parameters)
         if ti.static(self.features.mesh_walls):
-            if face >= self.wall_count:
-                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count, local)
+            if face >= self.wall_count():
+                gap, normal = triangle_contact(self.state.mesh, face - self.wall_count(), local)
         if ti.static(self.features.moving_walls):
             normal = self.walls.rotation[pose, w] @ normal
         return gap, normal
@@ -84,7 +89,7 @@ class WallGeometry:
         """Surface velocity [m/s] at the point."""
         velocity = self.prescribed_velocity(face, pose, point)
         if ti.static(self.features.force_controlled_walls):
-            velocity += controlled_vector(self.state, self.state.wall_dynamics.velocity, self.wall_of(-1 - face))
+            velocity += self.controlled_velocity(self.wall_of(-1 - face))
         return velocity
 
     @ti.func
@@ -92,7 +97,7 @@ class WallGeometry:
         """Position [m] of the pivot of a wall at a pose."""
         center = self.walls.center[pose, w]
         if ti.static(self.features.force_controlled_walls):
-            center += controlled_vector(self.state, self.state.wall_dynamics.offset, w)
+            center += self.controlled_offset(w)
         return center
 
 
@@ -103,14 +108,14 @@ def build_wall_of(state: State) -> Any:
 
     Reads:  wall of the mesh triangles
     """
-    wall_count, mesh, has_mesh = len(state.plan.walls), state.mesh, state.mesh is not None
+    wall_count, mesh, has_mesh = state.parameter("wall_count"), state.mesh, state.mesh is not None
 
     @ti.func
     def wall_of(j):
         w = -1 - j
         if ti.static(has_mesh):
-            if w >= wall_count:
-                w = mesh.wall[w - wall_count]
+            if w >= wall_count():
+                w = mesh.wall[w - wall_count()]
         return w
 
     return wall_of
@@ -135,23 +140,27 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
 def upload_poses(state: State, step: int) -> None:
     """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
 
-    Times follow from step numbers, so that they are bit-identical for any start of a batch.
+    Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles of the
+    steps are evaluated together, and a wall without motion once.
 
     Writes:  center, rotation, velocity, angular_velocity of walls; active
     """
     walls, clock = state.walls, state.clock
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    now = [pose(motions, times) for motions in state.wall_motions]
-    middle = [pose(motions, times - 0.5 * clock.time_step) for motions in state.wall_motions]
+    middles = times - 0.5 * clock.time_step
+    at_rest = pose((), times)
+    both = [pose(motions, np.concatenate([times, middles])) if motions else at_rest for motions in state.wall_motions]
     # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
 
     def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
-        field.from_numpy(np.ascontiguousarray(np.stack(arrays, axis=1), dtype=dtype))
+        padded = np.zeros((WALL_BATCH, state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
+        padded[:, : len(arrays)] = np.stack(arrays, axis=1)
+        field.from_numpy(padded)
 
-    upload_running(state, times - 0.5 * clock.time_step)
-    upload(walls.center, [p.offset + p.pivot for p in now], position_real)
-    upload(walls.rotation, [p.rotation for p in now], position_real)
-    upload(walls.velocity, [p.velocity for p in middle], real)
-    upload(walls.angular_velocity, [p.angular_velocity for p in middle], real)
+    upload_running(state, middles)
+    upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
+    upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
+    upload(walls.velocity, [p.velocity[-WALL_BATCH:] for p in both], real)
+    upload(walls.angular_velocity, [p.angular_velocity[-WALL_BATCH:] for p in both], real)

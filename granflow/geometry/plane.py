@@ -9,8 +9,8 @@ common edge is accessible only through the half space.
 from collections.abc import Sequence
 
 import numpy as np
-import taichi as ti
 
+from granflow.device_functions import ti
 from granflow.geometry.shape import (
     Shape,
     ShapeKind,

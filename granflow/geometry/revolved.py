@@ -8,8 +8,8 @@ for each end the direction (r, z) of the competing face and 1 if this surface ow
 """
 
 import numpy as np
-import taichi as ti
 
+from granflow.device_functions import ti
 from granflow.geometry.shape import FAR_AWAY, Shape, ShapeKind, distance_from_axis, is_parallel, make_shape, unit
 
 FACET_COUNT = 64

@@ -2,14 +2,15 @@
 
 import re
 from contextlib import suppress
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-import meshio
-import numpy as np
-
 from granflow.io.atomic_files import replacing, sync
+from granflow.io.background_writer import BackgroundWriter
+from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_writer import write_vtu
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
@@ -19,24 +20,30 @@ TAIL = b"  </Collection>\n</VTKFile>\n"
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    Numbers have at least four digits. The first frame deletes frames of an earlier run in the directory: the PVD file
-    lists exactly the files on disk. `frames`: (time [s], file name) of each frame.
+    `writer` writes them, at once by default. Numbers have at least four digits. The first frame deletes frames of an
+    earlier run in the directory: the PVD file lists exactly the files on disk. `frames`: (time [s], file name) of each
+    frame.
     """
 
-    def __init__(self, directory: Path, stem: str) -> None:
+    def __init__(self, directory: Path, stem: str, writer: BackgroundWriter | None = None) -> None:
         self.directory = Path(directory)
         self.stem = stem
+        self._writer = writer or BackgroundWriter()
         self.frames: list[tuple[float, str]] = []
         self.frame_count = 0
         self._listing_size = 0
         self._unsynced: list[Path] = []
 
-    def write(self, mesh: meshio.Mesh, time: float) -> Path:
-        """Write the mesh as the next frame, at `time` [s]. Return its path.
+    def write(self, mesh: VtuMesh, time: float) -> None:
+        """Write the mesh, whose arrays must not change, as the next frame, at `time` [s].
 
-        Creates the directory if necessary. Raises OSError if the disk is full; the PVD file then lists the earlier
-        frames.
+        Creates the directory if necessary. If the disk is full, this or a later call raises OSError; the PVD file then
+        lists the earlier frames.
         """
+        self._writer.submit(partial(self._write, mesh, time))
+
+    def _write(self, mesh: VtuMesh, time: float) -> None:
+        """Write a frame and list it. Raises OSError."""
         if not self.frame_count:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.truncate()
@@ -45,7 +52,6 @@ class FrameSeries:
         self._list((float(time), path.name))
         self.frame_count += 1
         self._unsynced.append(path)
-        return path
 
     @property
     def listing(self) -> Path:
@@ -71,7 +77,8 @@ class FrameSeries:
         self._listing_size = len(listing)
 
     def sync(self) -> None:
-        """Flush all frames to the disk; skip files that no longer exist."""
+        """Wait for all frames and flush them to the disk; skip files that no longer exist. Raises OSError."""
+        self._writer.wait()
         for path in self._unsynced:
             with suppress(FileNotFoundError):
                 sync(path)
@@ -91,32 +98,6 @@ class FrameSeries:
             self.listing.unlink(missing_ok=True)
         for name in there.difference(name for _, name in self.frames):
             (self.directory / name).unlink()
-
-
-def write_vtu(path: Path, mesh: meshio.Mesh) -> None:
-    """Write the mesh to a VTU file, binary and zlib-compressed, atomically."""
-    # For an empty compressed array, the header that meshio writes declares a block that does not exist.
-    compression = "zlib" if len(mesh.points) else None
-    with replacing(path) as temporary:
-        meshio.write(temporary, mesh, file_format="vtu", binary=True, compression=compression)
-
-
-def mesh_of_points(points: np.ndarray, point_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Return a mesh with one vertex cell per point (n, 3) [m]; without cells, ParaView shows glyphs only.
-
-    `point_data`: name -> array (n,) or (n, k).
-    """
-    vertices = np.arange(len(points), dtype=np.int64).reshape(-1, 1)
-    return meshio.Mesh(points, [("vertex", vertices)], point_data=point_data)
-
-
-def mesh_of_cells(kind: str, points: np.ndarray, cells: np.ndarray, cell_data: dict[str, np.ndarray]) -> meshio.Mesh:
-    """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m].
-
-    `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components).
-    """
-    per_block = {name: [values] for name, values in cell_data.items()}
-    return meshio.Mesh(points, [(kind, cells.astype(np.int64))], cell_data=per_block)
 
 
 def _entry(time: float, name: str) -> bytes:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from granflow.io.atomic_files import write_text
+from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
 
 
@@ -44,9 +45,35 @@ def run_log(directory: Path, append: bool = False) -> Iterator[logging.Logger]:
             handler.close()
 
 
+LOGGERS = ("granflow", "granflow.checkpoint")
+"""Loggers of warnings during a run."""
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """In the block, add the text of each warning of LOGGERS to the list.
+
+    A filter, not a handler: without any handler, Python prints warnings on stderr.
+    """
+    found: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.WARNING:
+            found.append(record.getMessage())
+        return True
+
+    for name in LOGGERS:
+        logging.getLogger(name).addFilter(collect)
+    try:
+        yield found
+    finally:
+        for name in LOGGERS:
+            logging.getLogger(name).removeFilter(collect)
+
+
 def versions() -> str:
-    """Return the versions of granflow, Taichi, numpy and Python, and the platform."""
-    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", "taichi", "numpy"))
+    """Return the versions of granflow, the kernel language, numpy and Python, and the platform."""
+    packages = ", ".join(f"{name} {version_of(name)}" for name in ("granflow", KERNELS, "numpy"))
     return f"{packages}, Python {platform.python_version()}, {platform.platform()}"
 
 

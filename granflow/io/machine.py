@@ -1,6 +1,7 @@
 """Memory and cores available to this process: those of the machine, limited by control groups, affinity and Slurm."""
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from math import ceil
@@ -24,12 +25,20 @@ def available_memory() -> int | None:
 
     None if nothing can be read.
     """
-    import psutil
-
     known = list(_memory_of_groups())
     with suppress(OSError):
-        known.append(psutil.virtual_memory().available)
+        known.append(_memory_of_machine())
     return min(known, default=None)
+
+
+def _memory_of_machine() -> int:
+    """Available memory [bytes]; on Linux without psutil, whose import takes longer than `granflow --help`."""
+    available = re.search(r"^MemAvailable:\s*(\d+) kB$", _text(ROOT / "proc/meminfo"), re.MULTILINE)
+    if available:
+        return int(available[1]) * 1024
+    import psutil
+
+    return psutil.virtual_memory().available
 
 
 def _memory_of_groups() -> Iterator[int]:

@@ -11,17 +11,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-import meshio
 import numpy as np
 
 from granflow.io.regular_files import FormatError, read_regular
 from granflow.io.vtu_arrays import ArraySource
+from granflow.io.vtu_mesh import CELL_TYPES, POLYGON, CellBlock, VtuMesh
 
-CELLS = {
-    1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4), 12: ("hexahedron", 8),
-    13: ("wedge", 6), 14: ("pyramid", 5),
-}  # fmt: skip
-"""Supported cell types by VTK number: name and number of corners."""
+CELLS = {number: (name, corners) for name, (number, corners) in CELL_TYPES.items()}
+"""Name and number of corners by VTK number."""
 
 MAX_PIECES, MAX_DEPTH = 1000, 16
 """Largest number of pieces, and of nested elements."""
@@ -29,7 +26,7 @@ LARGEST_FILE = 2**30
 """Largest size of a file [bytes]."""
 
 
-def read_vtu(path: Path, largest: int) -> meshio.Mesh:
+def read_vtu(path: Path, largest: int) -> VtuMesh:
     """Read the mesh in a file; several pieces are merged.
 
     largest:  maximum size [bytes] of all decoded arrays
@@ -90,7 +87,7 @@ def _tree(text: bytes) -> ElementTree.Element:
     return builder.close()
 
 
-def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> meshio.Mesh:
+def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> VtuMesh:
     """Mesh of the elements; `raw`: appended data, `largest`: bytes that may be decoded. Raises FormatError."""
     if root.tag != "VTKFile" or root.attrib.get("type") != "UnstructuredGrid":
         raise FormatError("is not a VTU file: it contains no UnstructuredGrid")
@@ -102,7 +99,7 @@ def _mesh_of(root: ElementTree.Element, raw: bytes, largest: int) -> meshio.Mesh
     return meshes[0] if len(meshes) == 1 else _merged(meshes)
 
 
-def _piece(piece: ElementTree.Element, source: ArraySource) -> meshio.Mesh:
+def _piece(piece: ElementTree.Element, source: ArraySource) -> VtuMesh:
     """Mesh of one piece. Raises FormatError if its arrays contradict each other."""
     point_count, cell_count = (int(piece.attrib[name]) for name in ("NumberOfPoints", "NumberOfCells"))
     if point_count < 0 or cell_count < 0:
@@ -121,11 +118,11 @@ def _piece(piece: ElementTree.Element, source: ArraySource) -> meshio.Mesh:
     for _, corners in blocks:
         if corners.size and not 0 <= corners.min() <= corners.max() < point_count:
             raise FormatError("refers to points that it does not contain")
-    return meshio.Mesh(points, blocks, point_data=point_data, cell_data=cell_data)
+    return VtuMesh(points, blocks, point_data=point_data, cell_data=cell_data)
 
 
-def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list[tuple[str, np.ndarray]]:
-    """Consecutive cells of one type in the order of the file: name and corners (cells, corners) int64.
+def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list[CellBlock]:
+    """Consecutive cells of one type in the order of the file, int64.
 
     Raises FormatError for unsupported cell types and inconsistent offsets.
     """
@@ -134,6 +131,8 @@ def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list
         return []
     kinds = source.array(found["types"], count, 1).ravel()
     ends = source.array(found["offsets"], count, 1).ravel().astype(np.int64)
+    if count == 1 and kinds[0] == POLYGON and not ends[0]:  # in frames without particles, contacts or walls
+        return []
     unknown = set(np.unique(kinds).tolist()) - set(CELLS)
     if unknown:
         raise FormatError(f"contains cells of the VTK type {min(unknown)}; export the surface as triangles")
@@ -146,7 +145,7 @@ def _blocks(piece: ElementTree.Element, source: ArraySource, count: int) -> list
     firsts, lasts = starts, [*starts[1:], count]
     begins = ends - sizes[kinds]
     return [
-        (CELLS[int(kinds[a])][0], corners[begins[a] : ends[b - 1]].reshape(b - a, -1))
+        CellBlock(CELLS[int(kinds[a])][0], corners[begins[a] : ends[b - 1]].reshape(b - a, -1))
         for a, b in zip(firsts, lasts, strict=True)
     ]
 
@@ -159,14 +158,12 @@ def _data(element: ElementTree.Element | None, source: ArraySource, count: int) 
         yield each.attrib["Name"], values if each.attrib.get("NumberOfComponents") else values.ravel()
 
 
-def _merged(meshes: list[meshio.Mesh]) -> meshio.Mesh:
+def _merged(meshes: list[VtuMesh]) -> VtuMesh:
     """One mesh of several pieces, with the arrays that all pieces have."""
     before = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
-    cells = [(b.type, b.data + shift) for mesh, shift in zip(meshes, before, strict=False) for b in mesh.cells]
+    cells = [CellBlock(b.type, b.data + shift) for mesh, shift in zip(meshes, before, strict=False) for b in mesh.cells]
     names = set(meshes[0].point_data).intersection(*(mesh.point_data for mesh in meshes))
     point_data = {name: np.concatenate([mesh.point_data[name] for mesh in meshes]) for name in sorted(names)}
     shared = set(meshes[0].cell_data).intersection(*(mesh.cell_data for mesh in meshes))
     cell_data = {name: [part for mesh in meshes for part in mesh.cell_data[name]] for name in sorted(shared)}
-    return meshio.Mesh(
-        np.concatenate([mesh.points for mesh in meshes]), cells, point_data=point_data, cell_data=cell_data
-    )
+    return VtuMesh(np.concatenate([mesh.points for mesh in meshes]), cells, point_data=point_data, cell_data=cell_data)

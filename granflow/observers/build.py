@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.geometry.catalog import triangles
+from granflow.io.background_writer import BackgroundWriter
 from granflow.observers.base import Observer
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.coarse_graining.field_grid import grid_for
@@ -19,24 +20,27 @@ from granflow.observers.wall_forces import WallForceMeter
 from granflow.plan.plan import Plan
 
 
-def observers_for(plan: Plan, out_dir: Path | None, progress: bool = False) -> list[Observer]:
+def observers_for(
+    plan: Plan, out_dir: Path | None, progress: bool = False, writer: BackgroundWriter | None = None
+) -> list[Observer]:
     """Return the observers of the output block, and the progress display if `progress`.
 
-    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`. Without
-    `out_dir`, only the time series, without a file, if it has meters.
+    `writer` writes the frames, at once by default. Order: time series, particle frames, contact frames, wall frames,
+    one per block of `output.fields`. Without `out_dir`, only the time series, without a file, if it has meters.
     """
     output = plan.output
     observers: list[Observer] = []
     if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls:
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
-        observers.append(ParticleFrames(out_dir, output.interval, reach=_max_coordinate(plan)))
+        observers.append(ParticleFrames(out_dir, output.interval, writer=writer, reach=_max_coordinate(plan)))
     if out_dir is not None and output.contacts:
-        observers.append(ContactFrames(out_dir, output.interval))
+        observers.append(ContactFrames(out_dir, output.interval, writer=writer))
     if out_dir is not None and output.walls and plan.walls:
-        observers.append(WallFrames(out_dir, output.interval, _wall_triangles(plan), measured=plan.measured_areas))
+        triangles_of_walls, measured = _wall_triangles(plan), plan.measured_areas
+        observers.append(WallFrames(out_dir, output.interval, triangles_of_walls, writer=writer, measured=measured))
     if out_dir is not None:
-        observers += [field_frames(plan, name, spec, out_dir) for name, spec in output.fields.items()]
+        observers += [field_frames(plan, name, spec, out_dir, writer) for name, spec in output.fields.items()]
     if progress:
         observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers
@@ -72,19 +76,21 @@ def time_series_for(plan: Plan, out_dir: Path | None) -> TimeSeries:
     return TimeSeries(out_dir, interval, flow_meters, wall_forces=wall_forces, metrics=metric_meters(plan))
 
 
-def field_frames(plan: Plan, name: str, spec: Any, out_dir: Path) -> FieldFrames:
+def field_frames(
+    plan: Plan, name: str, spec: Any, out_dir: Path, writer: BackgroundWriter | None = None
+) -> FieldFrames:
     """Return the frames of the coarse-grained fields `name`.
 
-    `spec`: entry of `output.fields`. With `width: auto`, the kernel width is half the largest diameter [m].
+    `writer`: see `observers_for`; `spec`: entry of `output.fields`. With `width: auto`, the kernel width is half the
+    largest diameter [m].
     """
     grid = grid_for(plan.domain, spec)
     width = spec.width
     if width == "auto":
         width = plan.radius_max
     interval = spec.interval or plan.output.interval
-    return FieldFrames(
-        out_dir, name, interval, grid, GaussianKernel(width, spec.cutoff), spec.quantities, spec.stages or ()
-    )
+    kernel = GaussianKernel(width, spec.cutoff)
+    return FieldFrames(out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer)
 
 
 def _max_coordinate(plan: Plan) -> float | None:

@@ -1,16 +1,17 @@
 """Progress of a run: a live bar on a terminal, lines at intervals elsewhere."""
 
 import math
+import sys
 import time as clock
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.observers.schedule import ScheduledObserver
 from granflow.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 # Updates per run: at fixed simulated times, independent of the wall clock, so that the display does not affect a run.
 UPDATE_COUNT = 500
@@ -22,17 +23,17 @@ RATE_SAMPLES = 25
 class ProgressDisplay(ScheduledObserver):
     """Shows simulated time, stage, steps per second, particle-steps per second and time left.
 
-    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `console`: standard
-    error by default. Without a terminal, a line is printed at the start of each stage, every ten seconds of wall clock,
-    and at the end.
+    `stages`: (name, maximum duration [s]) in order. A stage that ends early reduces the total. `stream`: standard
+    error by default. If it is not a terminal, a line is printed at the start of each stage, every ten seconds of wall
+    clock, and at the end.
     """
 
-    def __init__(self, stages: Sequence[tuple[str, float]], console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True)
+    def __init__(self, stages: Sequence[tuple[str, float]], stream: TextIO | None = None) -> None:
+        stream = stream or sys.stderr
         self._stage_plan = StagePlan(stages)
         super().__init__(self._stage_plan.end / UPDATE_COUNT)
         self._rates = StepRates()
-        self._display: _Bar | _Lines = _Bar(self._console) if self._console.is_terminal else _Lines(self._console)
+        self._display: _Bar | _Lines = _Bar(stream) if stream.isatty() else _Lines(stream)
 
     def observe(self, snapshot: Snapshot) -> None:
         """Update the display with time, step, stage and the total `particle_count` of a snapshot."""
@@ -105,7 +106,10 @@ class StepRates:
 class _Bar:
     """A live bar."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, stream: TextIO) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         columns = (
             TextColumn("{task.fields[stage]}"),
             BarColumn(),
@@ -113,7 +117,7 @@ class _Bar:
             TextColumn("{task.fields[rates]}"),
             TimeRemainingColumn(),
         )
-        self._progress = Progress(*columns, console=console)
+        self._progress = Progress(*columns, console=Console(file=stream))
         self._task: TaskID | None = None
 
     def show(self, snapshot: Snapshot, end: float, rates: StepRates) -> None:
@@ -136,8 +140,8 @@ class _Bar:
 class _Lines:
     """Lines at intervals."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
         self._stage = ""
         self._printed_at = -SECONDS_BETWEEN_LINES
         self._pending: str | None = None
@@ -155,7 +159,8 @@ class _Lines:
 
     def _print(self) -> None:
         if self._pending is not None:
-            self._console.print(self._pending, highlight=False, markup=False, soft_wrap=True)
+            self._stream.write(self._pending + "\n")
+            self._stream.flush()
             self._pending = None
 
 

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.geometry.mesh.mesh import triangle_areas
-from granflow.io.frames import FrameSeries, mesh_of_cells, mesh_of_points
+from granflow.io.background_writer import BackgroundWriter
+from granflow.io.frames import FrameSeries
+from granflow.io.vtu_mesh import VtuMesh
 from granflow.observers.base import CONTACTS, PARTICLES, WALLS
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.wall_traction import traction_and_pressure
@@ -26,14 +27,17 @@ class Frames(ScheduledObserver):
     """Base class of frames: a schedule and a series of files.
 
     Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
-    `start` [s]: of the frames, in simulated time. Raises ValueError for an interval that is not positive.
+    `start` [s]: of the frames, in simulated time; `writer`: see `FrameSeries`. Raises ValueError for an interval that
+    is not positive.
     """
 
     stem = ""
 
-    def __init__(self, directory: Path, interval: float, start: float = 0.0) -> None:
+    def __init__(
+        self, directory: Path, interval: float, start: float = 0.0, writer: BackgroundWriter | None = None
+    ) -> None:
         super().__init__(interval, start)
-        self.series = FrameSeries(directory, self.stem)
+        self.series = FrameSeries(directory, self.stem, writer)
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one frame, due or not; a second snapshot of the same time has no effect."""
@@ -57,7 +61,7 @@ class Frames(ScheduledObserver):
         """Remove the frames after the restored state."""
         self.series.truncate()
 
-    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+    def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame. Raises NotImplementedError in the base class."""
         raise NotImplementedError
 
@@ -73,11 +77,18 @@ class ParticleFrames(Frames):
     wants = frozenset({PARTICLES})
     stem = "particles"
 
-    def __init__(self, directory: Path, interval: float, start: float = 0.0, reach: float | None = None) -> None:
-        super().__init__(directory, interval, start)
+    def __init__(
+        self,
+        directory: Path,
+        interval: float,
+        start: float = 0.0,
+        writer: BackgroundWriter | None = None,
+        reach: float | None = None,
+    ) -> None:
+        super().__init__(directory, interval, start, writer)
         self._reach = reach
 
-    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+    def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame, with `diameter` [m] and `kinetic_energy` [J] computed from other arrays."""
         particles = _with_derived(snapshot.particles)
         points = self._points(particles["position"], particles["radius"])
@@ -86,7 +97,7 @@ class ParticleFrames(Frames):
             for name, field in PARTICLE_QUANTITIES.items()
             if field.displayed and name in particles
         }
-        return mesh_of_points(points, arrays)
+        return VtuMesh.of_points(points, arrays)
 
     def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """Return the positions (n, 3) [m] as float32, or float64 if float32 is too coarse for the smallest radius."""
@@ -102,7 +113,7 @@ class ContactFrames(Frames):
     wants = frozenset({CONTACTS})
     stem = "contacts"
 
-    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+    def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts.
 
         Arrays: CONTACT_QUANTITIES, and history fields of contact models.
@@ -117,7 +128,7 @@ class ContactFrames(Frames):
             if name in contacts and name not in _CONTACT_POINTS
         }
         histories = {name: contacts[name].astype(np.float32) for name in contacts if name not in CONTACT_QUANTITIES}
-        return mesh_of_cells("line", points, lines, arrays | histories)
+        return VtuMesh.of_cells("line", points, lines, arrays | histories)
 
 
 class WallFrames(Frames):
@@ -136,14 +147,15 @@ class WallFrames(Frames):
         interval: float,
         triangles: Mapping[str, tuple[np.ndarray, np.ndarray]],
         start: float = 0.0,
+        writer: BackgroundWriter | None = None,
         measured: Mapping[str, float | None] | None = None,
     ) -> None:
-        super().__init__(directory, interval, start)
+        super().__init__(directory, interval, start, writer)
         self._triangles, self._measured = dict(triangles), dict(measured or {})
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
-    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+    def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame: the triangles of all present walls, in the order of the scene.
 
         Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are float32.
@@ -164,7 +176,7 @@ class WallFrames(Frames):
         if self._measured:
             for name, parts in zip(("traction", "pressure"), zip(*wall_forces, strict=True), strict=True):
                 cell_data[name] = np.concatenate(parts).astype(np.float32)
-        return mesh_of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
+        return VtuMesh.of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
 
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int

@@ -1,7 +1,7 @@
 """Particles of a scene: initial particles, and inserters for later ones.
 
 The same scene and seed give bit-identical particles on one machine for any number of threads: each group has a separate
-random number generator (`random_for`).
+random number generator (`SceneGroup.random`).
 """
 
 from collections.abc import Mapping
@@ -11,9 +11,10 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.particles.from_file import particles_from_file
+from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.insertion import Inserter, inserters
 from granflow.particles.packing import RegionFullError, Spheres, fill_lattice, pack_at_random
-from granflow.particles.particle_data import ParticleData, particles_of, random_for, shortfall
+from granflow.particles.particle_data import ParticleData, particles_of, shortfall
 from granflow.particles.regions import sampler_of
 from granflow.particles.sizes import draw_diameters
 from granflow.scene.schema.insertion import FileInsertion, LatticeInsertion, PackInsertion, PositionsInsertion
@@ -34,14 +35,15 @@ def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | N
     Raises SceneError with one message for each group that does not fit.
     """
     inserted: dict[str, ParticleData] = dict(earlier or {})
-    remaining = {name: group for name, group in scene.particles.items() if name not in inserted}
+    remaining = {name: group for name, group in groups_of(scene).items() if name not in inserted}
     problems: list[str] = []
     for kind in INSERTION_ORDER:
-        for name in (name for name, group in remaining.items() if group.insert.kind == kind):
-            try:
-                inserted[name] = insert_group(scene, name, all_spheres(inserted, scene.domain.periodic_box()))
-            except RegionFullError as error:
-                problems.append(shortfall(scene, name, error))
+        for name, group in remaining.items():
+            if group.spec.insert.kind == kind:
+                try:
+                    inserted[name] = insert_group(group, all_spheres(inserted, scene.domain.periodic_box()))
+                except RegionFullError as error:
+                    problems.append(shortfall(group, error))
     if problems:
         raise SceneError(problems)
     return ParticleData.joined([inserted[name] for name in scene.particles if name in inserted])
@@ -56,7 +58,7 @@ def all_spheres(inserted: dict[str, ParticleData], periodic_box: PeriodicBox) ->
     return Spheres(*periodic_box.with_images(together.position, together.radius))
 
 
-def insert_group(scene: SceneInput, name: str, existing: Spheres) -> ParticleData:
+def insert_group(group: SceneGroup, existing: Spheres) -> ParticleData:
     """Initial particles of one group, without overlap with `existing`.
 
     Radii are drawn before positions, with the random number generator of the group. Given positions and files are not
@@ -64,11 +66,11 @@ def insert_group(scene: SceneInput, name: str, existing: Spheres) -> ParticleDat
 
     Raises RegionFullError if a lattice or packing does not fit, and SceneError for an invalid file.
     """
-    group, insertion = scene.particles[name], scene.particles[name].insert
+    spec, insertion = group.spec, group.spec.insert
     if isinstance(insertion, FileInsertion):
-        return particles_from_file(scene, name)
-    random = random_for(scene, name)
-    radius = draw_diameters(group.sizes, group.count, random) / 2
+        return particles_from_file(group)
+    random = group.random()
+    radius = draw_diameters(spec.sizes, spec.count, random) / 2
     if isinstance(insertion, PositionsInsertion):
         position = np.array(insertion.positions, dtype=np.float64).reshape(-1, 3)
     elif isinstance(insertion, LatticeInsertion):
@@ -76,4 +78,4 @@ def insert_group(scene: SceneInput, name: str, existing: Spheres) -> ParticleDat
     else:
         assert isinstance(insertion, PackInsertion)
         position = pack_at_random(sampler_of(insertion.region), radius, existing, random)
-    return particles_of(scene, name, position, radius)
+    return particles_of(group, position, radius)

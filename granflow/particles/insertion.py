@@ -10,8 +10,9 @@ import numpy as np
 
 from granflow.errors import SceneError
 from granflow.particles.close_pairs import overlaps_any
+from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.packing import RegionFullError, Spheres, check_width
-from granflow.particles.particle_data import ParticleData, particles_of, random_for, seeds_of, shortfall
+from granflow.particles.particle_data import ParticleData, particles_of, shortfall
 from granflow.particles.regions import CylinderSampler, RegionSampler, SlabSampler, sampler_of
 from granflow.particles.sizes import ordered_diameters
 from granflow.scene.schema.insertion import DiscFace, InletInsertion, RainInsertion
@@ -57,24 +58,23 @@ class Inserter:
     the region.
     """
 
-    def __init__(self, scene: SceneInput, group_name: str) -> None:
-        group = scene.particles[group_name]
-        self.scene, self.group_name = scene, group_name
-        insertion = group.insert
+    def __init__(self, group: SceneGroup) -> None:
+        self.group, self.group_name = group, group.name
+        spec, insertion = group.spec, group.spec.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):
-            raise ValueError(f"{group_name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
+            raise ValueError(f"{group.name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
         self.start = insertion.start
-        self.radius = ordered_diameters(group.sizes, group.count, random_for(scene, group_name)) / 2
-        self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * scene.materials[group.material].density
+        self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
+        self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * group.density
         self.due_at = self.start + _delays(insertion, self.mass)
         self.interval = (
             1.0 / insertion.rate if insertion.rate else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
         )
         for array in (self.radius, self.mass, self.due_at):
             array.setflags(write=False)
-        gathered = math.ceil(group.count / MAX_BATCHES)
-        self.region = _insertion_region(
-            insertion, self.radius.max(), np.array(group.velocity, float), gathered * self.interval
+        gathered = math.ceil(spec.count / MAX_BATCHES)
+        self.region = insertion_region(
+            insertion, self.radius.max(), np.array(spec.velocity, float), gathered * self.interval
         )
         check_width(self.region, self.radius.max())
         self.batch = batch_size(self.radius, self.region.volume)
@@ -116,17 +116,17 @@ class Inserter:
         queue = np.concatenate([self.queued, arriving])
         self.due_count += len(arriving)
         candidates = queue[: MAX_RETRIED_BATCHES * self.batch + len(arriving)]
-        periodic_box = self.scene.domain.periodic_box()
+        periodic_box = self.group.domain.periodic_box()
         existing = (np.asarray(position, dtype=np.float64), np.asarray(radius, dtype=np.float64))
         obstacles = Spheres(*periodic_box.with_images(*existing))
-        random = np.random.default_rng([*seeds_of(self.scene, self.group_name), self.batch_count])
+        random = np.random.default_rng([*self.group.seeds, self.batch_count])
         positions = self.find_positions(candidates, obstacles.near(self.region), random)
         inserted = np.array(list(positions), dtype=np.int64)
         self.queued = queue[~np.isin(queue, inserted)]
         self.batch_count += 1
         self.next_time = self.time_after(time)
         centers = np.array([positions[k] for k in inserted]).reshape(-1, 3)
-        return particles_of(self.scene, self.group_name, centers, self.radius[inserted])
+        return particles_of(self.group, centers, self.radius[inserted])
 
     def time_after(self, time: float) -> float:
         """Time of the next batch [s], when its last particle is due; infinite if no particles remain.
@@ -196,7 +196,7 @@ def _delays(insertion: RainInsertion | InletInsertion, mass: np.ndarray) -> np.n
     return (np.cumsum(mass) - mass) / insertion.mass_flow
 
 
-def _insertion_region(
+def insertion_region(
     insertion: RainInsertion | InletInsertion, radius: float, velocity: np.ndarray, gathered: float
 ) -> RegionSampler:
     """Insertion region: as given, or the volume behind a face that particles cross in the time of one batch.
@@ -224,12 +224,12 @@ def inserters(scene: SceneInput) -> tuple[Inserter, ...]:
     Raises SceneError with one message for each group that does not fit into its region.
     """
     inserters, problems = [], []
-    for name, group in scene.particles.items():
-        if isinstance(group.insert, RainInsertion | InletInsertion):
+    for group in groups_of(scene).values():
+        if isinstance(group.spec.insert, RainInsertion | InletInsertion):
             try:
-                inserters.append(Inserter(scene, name))
+                inserters.append(Inserter(group))
             except RegionFullError as error:
-                problems.append(shortfall(scene, name, error))
+                problems.append(shortfall(group, error))
     if problems:
         raise SceneError(problems)
     return tuple(inserters)

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from granflow.errors import SceneError
 from granflow.particles.close_pairs import near_pairs
 from granflow.particles.from_file import rows_of, unassigned_rows
-from granflow.particles.particle_data import random_for
+from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.sizes import count_for_volume
 from granflow.particles.table import ParticleTable
 from granflow.scene.schema.fields import Model
@@ -38,13 +38,13 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     scene, remarks = _at_scale_1(scene)
     groups: dict[str, Group] = {}
     problems: list[str] = []
-    for name in scene.particles:
+    given = groups_of(scene)
+    for name, group in given.items():
         try:
-            groups[name], remarks_of_group = _resolved_group(scene, name, read)
-            remarks += remarks_of_group
+            groups[name] = _resolved_group(group, read)
         except SceneError as error:
             problems += error.problems
-    problems += [] if problems or not read else unassigned_rows(scene)
+    problems += [] if problems or not read else unassigned_rows(given.values())
     if problems:
         raise SceneError(problems)
     resolved_scene = scene.model_copy(update={"particles": groups})
@@ -52,14 +52,14 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
     return resolved_scene
 
 
-def _resolved_group(scene: SceneInput, name: str, read: bool) -> tuple[Group, list[str]]:
-    """One group with its count, and remarks for the user. Raises SceneError."""
-    group, insertion = scene.particles[name], scene.particles[name].insert
+def _resolved_group(group: SceneGroup, read: bool) -> Group:
+    """One group with its count. Raises SceneError."""
+    insertion = group.spec.insert
     if not isinstance(insertion, FileInsertion):
-        return _with_count(scene, name), []
-    if insertion.found is not None and not (read and (scene.folder / insertion.file).exists()):
-        return group, []
-    return _with_rows(scene, name, insertion)
+        return _with_count(group)
+    if insertion.found is not None and not (read and (group.folder / insertion.file).exists()):
+        return group.spec
+    return _with_rows(group, insertion)
 
 
 def _at_scale_1(scene: SceneInput) -> tuple[SceneInput, list[str]]:
@@ -128,59 +128,55 @@ def _power(field: FieldInfo) -> int:
     return max((*powers(field.annotation), *(each for meta in field.metadata for each in powers(meta))), default=0)
 
 
-def _with_count(scene: SceneInput, name: str) -> Group:
+def _with_count(group: SceneGroup) -> Group:
     """A group with a count, a mass or an end time: its count is the smallest of the resulting counts.
 
     Raises SceneError if the count exceeds LARGEST_COUNT.
     """
-    group = scene.particles[name]
-    counts = {key: count for key, count in _counts(scene, name)}
+    counts = dict(_counts(group))
     key = min(counts, key=lambda key: counts[key])
     if counts[key] > LARGEST_COUNT:
-        path = ("particles", name, *key.split("."))
+        path = f"particles.{group.name}.{key}"
         raise SceneError(
-            f"{scene.locate(*path)}: {'.'.join(path)} results in {float(counts[key]):.3g} particles, but the limit is "
+            f"{group.locate(*key.split('.'))}: {path} results in {float(counts[key]):.3g} particles, but the limit is "
             f"{LARGEST_COUNT}."
         )
-    return group.model_copy(update={"count_given": counts[key], "mass": None})
+    return group.spec.model_copy(update={"count_given": counts[key], "mass": None})
 
 
-def _counts(scene: SceneInput, name: str) -> Iterator[tuple[str, int]]:
+def _counts(group: SceneGroup) -> Iterator[tuple[str, int]]:
     """Number of particles that follows from each of the keys count, mass and insert.end, if given.
 
     insert.end: rate * (end - start), or the number with the mass mass_flow * (end - start)
     """
-    group, insertion = scene.particles[name], scene.particles[name].insert
-    if group.count_given is not None:
-        yield "count", group.count_given
-    if group.mass is not None:
-        yield "mass", _count_of_mass(scene, name, group.mass)
+    spec, insertion = group.spec, group.spec.insert
+    if spec.count_given is not None:
+        yield "count", spec.count_given
+    if spec.mass is not None:
+        yield "mass", _count_of_mass(group, spec.mass)
     if isinstance(insertion, RainInsertion | InletInsertion) and insertion.end is not None:
         duration = insertion.end - insertion.start
         if insertion.rate is not None:
             yield "insert.end", max(int(np.ceil(min(insertion.rate * duration - ROUNDING_SHARE, 1e18))), 1)
         elif insertion.mass_flow is not None:
-            yield "insert.end", _count_of_mass(scene, name, insertion.mass_flow * duration)
+            yield "insert.end", _count_of_mass(group, insertion.mass_flow * duration)
 
 
-def _count_of_mass(scene: SceneInput, name: str, mass: float) -> int:
+def _count_of_mass(group: SceneGroup, mass: float) -> int:
     """Number of particles with a total mass [kg] nearest to the given one, for the sizes and the material of a group.
 
     sum d^3 = 6 m / (pi rho)
     """
-    group = scene.particles[name]
-    density = scene.materials[group.material].density
-    return count_for_volume(group.sizes, 6.0 / pi * mass / density, lambda: random_for(scene, name))
+    return count_for_volume(group.spec.sizes, 6.0 / pi * mass / group.density, group.random)
 
 
-def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> tuple[Group, list[str]]:
-    """A group from a file with the summary of the file, and remarks. Raises SceneError for an inconsistent group."""
-    group = scene.particles[name]
-    rows = rows_of(scene, name)
-    problems = [*_inconsistencies(scene, name, rows)]
+def _with_rows(group: SceneGroup, insertion: FileInsertion) -> Group:
+    """A group from a file with the summary of the file. Raises SceneError for an inconsistent group."""
+    rows = rows_of(group)
+    problems = [*_inconsistencies(group, rows)]
     if problems:
         raise SceneError(problems)
-    overlap, remarks = _overlap(scene, name, rows)
+    overlap, overlap_rows = _overlap(group, rows)
     speed, angular_velocity = (
         0.0 if vectors is None else float(np.linalg.norm(vectors, axis=1).max())
         for vectors in (rows.velocity, rows.angular_velocity)
@@ -188,22 +184,22 @@ def _with_rows(scene: SceneInput, name: str, insertion: FileInsertion) -> tuple[
     diameters = 2.0 * float(rows.radius.min()), 2.0 * float(rows.radius.max())
     summary = FileSummary(
         count=len(rows), diameter_min=diameters[0], diameter_max=diameters[1], speed_max=speed,
-        angular_velocity_max=angular_velocity, overlap_max=overlap,
+        angular_velocity_max=angular_velocity, overlap_max=overlap, overlap_rows=overlap_rows,
     )  # fmt: skip
     read_insertion = insertion.model_copy(update={"found": summary})
-    return group.model_copy(update={"count_given": len(rows), "insert": read_insertion}), remarks
+    return group.spec.model_copy(update={"count_given": len(rows), "insert": read_insertion})
 
 
-def _inconsistencies(scene: SceneInput, name: str, rows: ParticleTable) -> Iterator[str]:
+def _inconsistencies(group: SceneGroup, rows: ParticleTable) -> Iterator[str]:
     """Contradictions between a group in the scene and the rows of its file, one sentence each."""
-    group = scene.particles[name]
-    if group.count_given not in (None, len(rows)) and scene.is_given("particles", name, "count"):
-        location = scene.locate("particles", name, "count")
-        yield f"{location}: particles.{name}.count is {group.count_given}, but {rows.path} has {len(rows)} rows for it."
+    spec, name = group.spec, group.name
+    if spec.count_given not in (None, len(rows)) and group.is_given("count"):
+        location = group.locate("count")
+        yield f"{location}: particles.{name}.count is {spec.count_given}, but {rows.path} has {len(rows)} rows for it."
     for key in ("velocity", "angular_velocity"):
-        if getattr(rows, key) is not None and np.any(getattr(group, key)):
-            yield f"{scene.locate('particles', name, key)}: particles.{name}.{key} is in {rows.path} too; remove it."
-    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+        if getattr(rows, key) is not None and np.any(getattr(spec, key)):
+            yield f"{group.locate(key)}: particles.{name}.{key} is in {rows.path} too; remove it."
+    low, high = np.array(group.domain.min), np.array(group.domain.max)
     outside = ~np.all((rows.position >= low) & (rows.position <= high), axis=1)
     if outside.any():
         first, count = rows.line[outside][0], int(outside.sum())
@@ -211,25 +207,20 @@ def _inconsistencies(scene: SceneInput, name: str, rows: ParticleTable) -> Itera
         yield f"{rows.path}:{first}: this particle{others} outside the domain."
 
 
-def _overlap(scene: SceneInput, name: str, rows: ParticleTable) -> tuple[float, list[str]]:
-    """Largest overlap over the smaller radius, and remarks; 0 for fixed particles.
+def _overlap(group: SceneGroup, rows: ParticleTable) -> tuple[float, str]:
+    """Largest overlap over the smaller radius and the rows of that pair; 0 and no rows for fixed particles.
 
     (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
     """
-    if scene.particles[name].fixed:
-        return 0.0, []
+    if group.spec.fixed:
+        return 0.0, ""
     first, second = near_pairs(rows.position, rows.radius, 0.0)
     if not len(first):
-        return 0.0, []
+        return 0.0, ""
     distance = np.linalg.norm(rows.position[first] - rows.position[second], axis=1)
     relative_overlap = (rows.radius[first] + rows.radius[second] - distance) / np.minimum(
         rows.radius[first], rows.radius[second]
     )
     worst = int(relative_overlap.argmax())
     kind = "points" if rows.path.suffix.lower() == ".vtu" else "lines"
-    lines = f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"
-    pairs = f"{len(first)} pairs overlap" if len(first) > 1 else "one pair overlaps"
-    return float(relative_overlap[worst]), [
-        f"particles.{name}: {pairs} in {rows.path}, by up to {relative_overlap[worst]:.3g} of the smaller radius "
-        f"({lines})."
-    ]
+    return float(relative_overlap[worst]), f"{kind} {rows.line[first[worst]]} and {rows.line[second[worst]]}"

@@ -13,11 +13,20 @@ from granflow.load import Scene
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import features_of, reasons_for
+from granflow.plan.forecast.build import forecasts_of
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
-from granflow.plan.meshes import notes_on
+from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
 from granflow.plan.outlets import planned_outlets
-from granflow.plan.pair_cases import active_models, build_laws, pair_cases_of, pair_materials, pair_table, solid
+from granflow.plan.pair_cases import (
+    active_models,
+    adhesion_velocity,
+    build_laws,
+    pair_cases_of,
+    pair_materials,
+    pair_table,
+    solid,
+)
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import refuse_coarse
 from granflow.plan.scene_parts import planned_groups, planned_stages
@@ -26,7 +35,7 @@ from granflow.plan.size_classes import diameter_range, size_classes
 from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.travel import refuse_fast_images, refuse_fast_rotation, refuse_fast_start, refuse_fast_walls
 from granflow.plan.wall_control import controlled_motions_of
-from granflow.plan.walls import planned_walls, wall_speeds
+from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
@@ -67,15 +76,15 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radius_min, radius_max = min(radii), max(radii)
     refuse_coarse(scene, radius_min)
     pair_cases = tuple(pair_cases_of(scene))
-    step = _time_step(scene, pair_cases, law, velocity, 2.0 * radius_max)
+    adhesion = adhesion_velocity(laws, pair_cases)
+    step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
     refuse_fast_motion(scene, step.value)
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
-    refuse_narrow_box(scene, radius_max, 2.0 * skin if features.lees_edwards else skin)
-    refuse_cut_walls(scene, walls, radius_max + skin)
-    refuse_infinite_rotations(scene, walls)
+    _refuse_geometry(scene, walls, radius_max, skin + laws.range)
     particle_count = sum(group.count for group in scene.particles.values())
+    controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
         **_as_given(scene),
         features=features,
@@ -93,20 +102,31 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         step=step,
         impact_velocity=impact_velocity,
         walls=walls,
-        mesh_notes=tuple(
-            note
-            for wall in walls
-            if isinstance(wall.shape, Mesh)
-            for note in notes_on(scene, wall.name, wall.shape, 2.0 * radius_min)
-        ),
+        mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
         wall_speed=speed,
-        controlled_motions=controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value),
-        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, image_speed(scene)))
+        controlled_motions=controlled_motions,
+        forecasts=tuple(forecasts_of(scene, laws, impact_velocity, walls, controlled_motions)),
+        adaptive_time_step=_adaptive_time_step(
+            scene, pair_cases, law, velocity, max(speed, image_speed(scene), adhesion)
+        )
         if features.adaptive_step
         else None,
     )
     _refuse_fast(scene, plan, speeds)
     return plan
+
+
+def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
+    """Raise SceneError for a periodic box or walls that do not fit neighbor lists of this reach beyond contact [m]."""
+    refuse_narrow_box(scene, radius_max, 2.0 * reach if scene.domain.lees_edwards is not None else reach)
+    refuse_cut_walls(scene, walls, radius_max + reach)
+    refuse_infinite_rotations(scene, walls)
+
+
+def _mesh_notes(scene: Scene, walls: Sequence[PlannedWall], smallest: float) -> tuple[MeshNote, ...]:
+    """Notes on all mesh walls; `smallest`: diameter [m] of the smallest particle."""
+    meshes = [(wall.name, wall.shape) for wall in walls if isinstance(wall.shape, Mesh)]
+    return tuple(note for name, mesh in meshes for note in notes_on(scene, name, mesh, smallest))
 
 
 def _as_given(scene: Scene) -> dict[str, Any]:

@@ -1,6 +1,26 @@
-"""Initial capacities of the neighbor lists. Lists that are too short grow, and all kernels are compiled again."""
+"""Capacities of the device arrays, which are rounded up so that scenes of similar size share their machine code.
 
+Neighbor lists that are too short grow; all kernels are then compiled again.
+"""
+
+from dataclasses import dataclass, replace
 from math import ceil
+
+MIN_PARTICLES, MIN_CHUNKS, MIN_LIST_ENTRIES, MIN_CELLS = 2048, 64, 20_480, 8192
+"""Smallest capacities for particles: all small scenes have the same arrays, of a few MB."""
+
+MIN_SIZE_CLASSES, MIN_WALLS, MIN_PAIRS = 8, 8, 64
+"""Smallest capacities for size classes, walls and pairs of materials."""
+
+MIN_TRIANGLES = 1024
+"""Smallest capacity for triangles, edges, vertices and cells of meshes."""
+
+MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 512
+"""Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and of the
+force sums of a chunk."""
+
+WORKERS = 16
+"""Number of CPU threads up to which all thread counts have the same arrays."""
 
 GENEROUS_BELOW = 20_000
 """Number of particles below which memory is negligible and each particle gets `GENEROUS_NEIGHBORS` list entries."""
@@ -64,22 +84,75 @@ def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> floa
     return max(neighbors, GENEROUS_NEIGHBORS) if particle_count < GENEROUS_BELOW else neighbors
 
 
+@dataclass(frozen=True)
+class Capacities:
+    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `chunk_count`.
+
+    chunk_count:     number of chunks that share `list_entries`; not a length
+    list_entries:    entries of all neighbor lists
+    class_cells:     cells of the grids of all size classes; 0 without size classes
+    measured_walls:  walls with measured forces; 0 without
+    batch:           contacts of one batch on a CPU
+    chunk_particles: particles of a chunk, whose force sums a CPU thread holds
+    """
+
+    particles: int
+    chunk_count: int
+    chunks: int
+    list_entries: int
+    cells: int
+    class_cells: int
+    size_classes: int
+    walls: int
+    measured_walls: int
+    pairs: int
+    batch: int
+    chunk_particles: int
+
+    @property
+    def saved_entries(self) -> int:
+        """History entries that a neighbor-list rebuild can save."""
+        return history_capacity(self.list_entries)
+
+    @property
+    def list_entries_per_chunk(self) -> int:
+        """List entries of each chunk."""
+        return self.list_entries // self.chunk_count
+
+    @property
+    def saved_entries_per_chunk(self) -> int:
+        """Saved history entries of each chunk."""
+        return self.saved_entries // self.chunk_count
+
+    def grown(self, needed: int, batch: int) -> "Capacities":
+        """Capacities for at least GROWTH_FACTOR times `needed` list entries per chunk, and `batch` contacts."""
+        entries = self.chunk_count * (int(GROWTH_FACTOR * needed) + SPARE)
+        return replace(
+            self,
+            list_entries=rounded_capacity(entries, self.list_entries),
+            batch=rounded_capacity(batch, self.batch),
+        )
+
+
+def rounded_capacity(needed: int, smallest: int) -> int:
+    """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it."""
+    capacity = smallest
+    while capacity < needed:
+        capacity += max(capacity // 4, 1)
+    return capacity
+
+
 def history_capacity(list_entries: int) -> int:
-    """History entries saved at a rebuild for a chunk with this number of list entries.
+    """History entries saved at a rebuild for this number of list entries.
 
     Fewer than list entries, because only pairs in contact have a history; HISTORY_SHARE is the share that fits.
     """
     return int(HISTORY_SHARE * list_entries) + SPARE
 
 
-def grown_capacity(needed: int) -> int:
-    """New capacity of a chunk that needs this number of list entries."""
-    return int(GROWTH_FACTOR * needed) + SPARE
-
-
 def list_capacity_for(saved: int) -> int:
     """List entries per chunk for which a rebuild can save this number of history entries.
 
-    `history_capacity` of the result is at least `saved`.
+    HISTORY_SHARE of the result is at least `saved`.
     """
-    return ceil((saved - SPARE + 1) / HISTORY_SHARE)
+    return ceil((saved + 1) / HISTORY_SHARE)

@@ -9,7 +9,7 @@ from math import prod
 from typing import Literal
 
 from granflow.fields import PARTICLE_QUANTITIES, DeviceType
-from granflow.plan.capacities import BOUNDS, SCAN_BLOCK, WALL_BATCH, history_capacity
+from granflow.plan.capacities import BOUNDS, MIN_TRIANGLES, SCAN_BLOCK, WALL_BATCH, Capacities, rounded_capacity
 from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
 from granflow.plan.plan import Plan
 
@@ -54,7 +54,7 @@ def particle_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray(
             field.name,
             field.dtype,
-            _particles(plan),
+            (plan.capacities.particles,),
             None if field.kind == "scalar" else field.width,
             wanted=field.condition(plan.features),
             saved=field.saved,
@@ -66,15 +66,10 @@ def particle_arrays(plan: Plan) -> list[DeviceArray]:
     ]
 
 
-def _particles(plan: Plan) -> tuple[int]:
-    """Shape of an array with an entry per particle."""
-    return (max(plan.particle_capacity, 1),)
-
-
-def neighbor_arrays(plan: Plan, capacity_per_chunk: int) -> list[DeviceArray]:
+def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
     """Ranges and entries of the neighbor lists; names of contact histories begin with `history.` and `saved.`."""
-    count, entries = _particles(plan), (plan.chunk_capacity * capacity_per_chunk,)
-    saved_entries, has_history = (plan.chunk_capacity * history_capacity(capacity_per_chunk),), bool(plan.history)
+    count, entries, saved_entries = (capacities.particles,), (capacities.list_entries,), (capacities.saved_entries,)
+    has_history = bool(plan.history)
     return [
         *(DeviceArray(name, "i32", count, per_particle=True) for name in ("list_begin", "list_walls_end", "list_end")),
         DeviceArray("partner", "i32", entries),
@@ -91,8 +86,8 @@ def neighbor_arrays(plan: Plan, capacity_per_chunk: int) -> list[DeviceArray]:
 
 def cell_arrays(plan: Plan) -> list[DeviceArray]:
     """Cells and new order of the particles; see `CellSort`."""
-    count, classes = _particles(plan), (len(plan.size_classes),)
-    cells, class_cells = plan.cell_capacity, plan.class_cell_capacity
+    count, classes = (plan.capacities.particles,), (plan.capacities.size_classes,)
+    cells, class_cells = plan.capacities.cells, plan.capacities.class_cells
     largest, by_class = max(cells, class_cells), bool(class_cells)
     return [
         DeviceArray("cell", "i32", count, per_particle=True),
@@ -106,7 +101,7 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("class_order", "i32", count, wanted=by_class, per_particle=True),
         DeviceArray("class_start", "i32", (class_cells + 2,), wanted=by_class),
         DeviceArray("first_cell", "i32", classes, wanted=by_class),
-        DeviceArray("radius", "position", classes, wanted=by_class),
+        DeviceArray("radius", "position", classes),
         DeviceArray("low", "position", (BOUNDS,), 3),
         DeviceArray("high", "position", (BOUNDS,), 3),
         DeviceArray("reach", "position", (BOUNDS,)),
@@ -124,16 +119,17 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
         *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
         DeviceArray("was_active", "i32", (count,), saved=True),
         DeviceArray("active", "i32", (WALL_BATCH, count)),
-        DeviceArray("wall_force", "i64", (plan.chunk_capacity, count), saved=True),
+        DeviceArray("wall_force", "i64", (plan.capacities.chunks, count), saved=True),
     ]
 
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
     """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries; see `Control`.
 
-    Each term has two components, see `engine.force.exact_sums`.
+    Each term has two components, see `engine.exact_sums`.
     """
-    chunks, measured, energy_budget = plan.chunk_capacity, len(plan.measured_walls), plan.features.energy_budget
+    chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
+    energy_budget = plan.features.energy_budget
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
         DeviceArray("losses", "i64", (chunks,), 2 * len(LOSSES), wanted=energy_budget, saved=True),
@@ -145,10 +141,9 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
 def mesh_arrays(plan: Plan) -> list[DeviceArray]:
     """Triangles, edges (three per triangle), points and cell grids of all meshes; see `engine.mesh_fields`."""
     adjacencies, grids = [mesh.adjacency for mesh in plan.meshes.values()], plan.mesh_grids.values()
-    walls, triangles, points, vertex_edges, competitors, cells, cell_triangles = (
-        (max(sum(lengths), 1),)
+    triangles, points, vertex_edges, competitors, cells, cell_triangles = (
+        (rounded_capacity(sum(lengths), MIN_TRIANGLES),)
         for lengths in (
-            [len(plan.walls)],
             [len(each.normal) for each in adjacencies],
             [len(each.owner) for each in adjacencies],
             [len(each.vertex_edge) for each in adjacencies],
@@ -157,7 +152,7 @@ def mesh_arrays(plan: Plan) -> list[DeviceArray]:
             [len(grid.triangle) for grid in grids],
         )
     )
-    edges = (3 * triangles[0],)
+    walls, edges = (plan.capacities.walls,), (3 * triangles[0],)
     return [
         DeviceArray("wall", "i32", triangles),
         DeviceArray("normal", "position", triangles, 3),

@@ -1,5 +1,6 @@
 """Text of `granflow explain`: each decision of a plan with its reason."""
 
+import math
 import textwrap
 from collections.abc import Iterable, Iterator
 from math import ceil
@@ -8,6 +9,7 @@ from typing import NamedTuple
 from granflow.plan.features import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
+from granflow.plan.roofline import CONTACTS, GPUS, bytes_per_particle_step, particle_steps_per_second
 from granflow.plan.run_time import duration_of
 from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.time_step import rayleigh_time
@@ -31,8 +33,8 @@ class ExplainRow(NamedTuple):
     remark: str = ""
 
 
-def explain(plan: Plan) -> str:
-    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time.
+def explain(plan: Plan, on_gpu: bool = False) -> str:
+    """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`, GPU rates.
 
     Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
     """
@@ -43,7 +45,9 @@ def explain(plan: Plan) -> str:
         "Particles": _particle_rows(plan),
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
         "Meshes": _mesh_rows(plan),
+        "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
+        **({"GPU": _gpu_rows(plan)} if on_gpu else {}),
         "Run": _run_rows(plan),
         "Optional settings": [ExplainRow(s.key, s.value, s.origin) for s in plan.settings],
     }
@@ -75,6 +79,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         "Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it"
     )
     yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
+    yield from _bond_number_rows(plan)
     if plan.law.limits_restitution:
         yield ExplainRow(
             "restitution",
@@ -83,6 +88,20 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         )
     for sentence in step.warnings:
         yield ExplainRow("WARNING", "", sentence)
+
+
+def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Row of the Bond number, the largest ratio of pull-off force to weight; empty without gravity or cohesion."""
+    law, gravity = plan.laws.cohesion, math.hypot(*plan.gravity)
+    forces = [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
+    numbers = [
+        (force / (each.solid.density * 4.0 / 3.0 * math.pi * each.radius**3 * gravity), force, each.name)
+        for force, each in forces
+        if force and gravity
+    ]
+    if numbers:
+        bond_number, force, name = max(numbers)
+        yield ExplainRow("Bond number", f"{bond_number:.3g}", f"pull-off force {force:.3g} N over weight, {name}")
 
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
@@ -128,9 +147,18 @@ def _mesh_rows(plan: Plan) -> Iterator[ExplainRow]:
         last = note.wall
 
 
+def _forecast_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the forecasts: overlaps over the smaller radius, and warnings."""
+    for forecast in plan.forecasts:
+        if forecast.name:
+            yield ExplainRow(forecast.name, forecast.value, forecast.remark)
+        if forecast.warning is not None:
+            yield ExplainRow("WARNING", "", forecast.warning)
+
+
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     """Rows of the memory estimate by part, and the total."""
-    list_entries, particles = plan.chunk_capacity * plan.list_capacity_per_chunk, plan.particle_capacity
+    list_entries, particles = plan.capacities.list_entries, plan.particle_capacity
     each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
     list_text = (
@@ -143,6 +171,16 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     if memory.meshes:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
     yield ExplainRow("total", size(memory.total), "")
+
+
+def _gpu_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the memory traffic per particle-step, and of the largest rate of each GPU."""
+    traffic = f"smallest memory traffic per particle-step with {CONTACTS:g} contacts per particle"
+    yield ExplainRow("traffic", size(bytes_per_particle_step(plan, plan.precision)), traffic)
+    for gpu in GPUS:
+        rate = 1e-6 * particle_steps_per_second(plan, plan.precision, gpu)
+        limit = f"largest rate at {gpu.bandwidth / 1e9:.0f} GB/s, not measured"
+        yield ExplainRow(gpu.name, f"{rate:.0f} million particle-steps per second", limit)
 
 
 def _history_text(plan: Plan) -> str:

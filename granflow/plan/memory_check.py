@@ -1,6 +1,7 @@
 """Compares the memory that a run needs with the available memory, before any array is allocated."""
 
 from granflow.errors import SceneError
+from granflow.io.gpu_memory import free_gpu_memory
 from granflow.io.machine import available_memory
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
@@ -13,6 +14,9 @@ HOST_PER_PARTICLE = 600
 
 MAX_LIST_ENTRIES = 2**31 - 1
 """Neighbor-list entries have 32-bit indices."""
+
+VULKAN_BUFFER = 2**32
+"""Largest Vulkan buffer [bytes]; all fields of a run are in one."""
 
 WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
@@ -47,7 +51,7 @@ def refuse_too_many(plan: Plan) -> None:
 
     The message suggests a number of particles, rounded to two digits.
     """
-    list_entries = plan.chunk_capacity * plan.list_capacity_per_chunk
+    list_entries = plan.capacities.list_entries
     if list_entries > MAX_LIST_ENTRIES:
         max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
         request = f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
@@ -58,6 +62,23 @@ def refuse_without_memory(plan: Plan) -> None:
     """Raise SceneError if a run on a CPU does not fit into the available memory; never if that is unknown."""
     if not fits(plan):
         raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
+
+
+def refuse_without_device_memory(plan: Plan, arch: str) -> None:
+    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or the largest buffer of Vulkan.
+
+    arch:  "cuda" or "vulkan"; the free memory is known on CUDA only
+    """
+    needed, is_vulkan = estimate_memory(plan, plan.precision).total, arch == "vulkan"
+    available = VULKAN_BUFFER if is_vulkan else free_gpu_memory()
+    if available is None or needed <= available:
+        return
+    limit = f"{available / 1e9:.3g} GB"
+    statement = f"but a Vulkan buffer has at most {limit}" if is_vulkan else f"but only {limit} are free"
+    sizes = f"{plan.particle_capacity} particles need about {needed / 1e9:.3g} GB on the GPU, {statement}"
+    count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
+    remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
+    raise SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
 
 
 def fits(plan: Plan) -> bool:

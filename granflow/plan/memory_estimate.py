@@ -29,12 +29,13 @@ class MemoryEstimate:
 
 def estimate_memory(plan: Plan, precision: Precision) -> MemoryEstimate:
     """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles."""
-    lists, cells = neighbor_arrays(plan, plan.list_capacity_per_chunk), cell_arrays(plan)
+    capacities = plan.capacities
+    lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
     particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)
     list_bytes = sum(each.size(precision) for each in lists if not each.per_particle)
     return MemoryEstimate(
-        per_particle=particles // max(plan.particle_capacity, 1),
-        per_neighbor=list_bytes // (plan.chunk_capacity * plan.list_capacity_per_chunk),
+        per_particle=particles // capacities.particles,
+        per_neighbor=list_bytes // capacities.list_entries,
         particles=particles,
         neighbor_lists=list_bytes,
         cells=sum(each.size(precision) for each in cells if not each.per_particle),

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Literal
 
 import numpy as np
 
@@ -24,6 +25,11 @@ class PlannedOutlet:
     point: np.ndarray
     normal: np.ndarray
     radius: float
+
+    @property
+    def kind(self) -> Literal["box", "half_space", "disc"]:
+        """Kind of the region."""
+        return "box" if self.low is not None else "disc" if self.radius < inf else "half_space"
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """Depth [m] (n,) of points (n, 3) [m] inside the outlet: distance from its surface, negative outside.

@@ -54,12 +54,26 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
     """
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
     laws: dict[str, Any] = {}
+    radius_max = max(0.5 * diameter_range(group)[1] for group in scene.particles.values())
     for slot, model in active_models(scene).items():
         request = ModelRequest(
-            scene.contact.options(slot), pairs, velocity, scene.numerics.unloading_angle, scene.output.energy_budget
+            scene.contact.options(slot),
+            pairs,
+            velocity,
+            scene.numerics.unloading_angle,
+            scene.output.energy_budget,
+            radius_max,
         )
         laws[slot] = model.law.from_scene(request)
     return ContactLaws(**laws)
+
+
+def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
+    """Velocity [m/s] to add to the impact velocity for the time step: cohesion stiffens contacts, see `CohesionLaw`."""
+    law = laws.cohesion
+    if law is None:
+        return 0.0
+    return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
 
 
 def solid(scene: Scene, material: str) -> Solid:

@@ -14,8 +14,25 @@ from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep
-from granflow.plan.capacities import EXTRA_PER_PARTICLE, SHARE_AT_MESHES, near_triangles, neighbors_per_particle
+from granflow.plan.capacities import (
+    EXTRA_PER_PARTICLE,
+    MIN_BATCH,
+    MIN_CELLS,
+    MIN_CHUNK_PARTICLES,
+    MIN_CHUNKS,
+    MIN_LIST_ENTRIES,
+    MIN_PAIRS,
+    MIN_PARTICLES,
+    MIN_SIZE_CLASSES,
+    MIN_WALLS,
+    SHARE_AT_MESHES,
+    Capacities,
+    near_triangles,
+    neighbors_per_particle,
+    rounded_capacity,
+)
 from granflow.plan.features import Features, Reason
+from granflow.plan.forecast.overlaps import Forecast
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.meshes import MeshNote
 from granflow.plan.outlets import PlannedOutlet
@@ -34,9 +51,6 @@ from granflow.scene.schema.run import Precision
 
 CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
-
-MIN_CELLS = 8192
-"""Smallest capacity of the cell grid."""
 
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""
@@ -103,6 +117,8 @@ class Plan:
     outlets: tuple[PlannedOutlet, ...]
     adaptive_time_step: AdaptiveTimeStep | None
     """Time steps by impact velocity if the time step is adaptive."""
+    forecasts: tuple[Forecast, ...]
+    """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
 
     @property
     def time_step(self) -> float:
@@ -147,6 +163,11 @@ class Plan:
         return self.laws.normal
 
     @property
+    def law_parameters(self) -> tuple[float, ...]:
+        """Parameters of the contact laws, in the order of `laws.parameters`."""
+        return tuple(value for own in self.laws.parameters.values() for value in own.values())
+
+    @property
     def has_walls(self) -> bool:
         """True if the scene has walls."""
         return self.features.walls
@@ -173,12 +194,34 @@ class Plan:
     @property
     def list_capacity_per_chunk(self) -> int:
         """Initial number of neighbor-list entries per chunk; lists that are too short grow during the run."""
-        neighbors = neighbors_per_particle(self.particle_capacity, self.skin / self.radius_min)
-        at_meshes = max((near_triangles(mesh.typical_edge, self.skin) for mesh in self.meshes.values()), default=0.0)
+        neighbors = neighbors_per_particle(self.particle_capacity, (self.skin + self.laws.range) / self.radius_min)
+        at_meshes = max(
+            (near_triangles(mesh.typical_edge, self.skin + self.laws.range) for mesh in self.meshes.values()),
+            default=0.0,
+        )
         if self.chunk_size == 1:
             return int(2.0 * neighbors + at_meshes) + EXTRA_PER_PARTICLE
         neighbors += SHARE_AT_MESHES * at_meshes
         return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
+
+    @property
+    def capacities(self) -> Capacities:
+        """Lengths of the device arrays at the start."""
+        chunk_count = self.chunk_capacity
+        return Capacities(
+            particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
+            chunk_count=chunk_count,
+            chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
+            list_entries=rounded_capacity(chunk_count * self.list_capacity_per_chunk, MIN_LIST_ENTRIES),
+            cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
+            class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS) if self.class_cell_capacity else 0,
+            size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
+            walls=rounded_capacity(len(self.walls), MIN_WALLS),
+            measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS) if self.measured_walls else 0,
+            pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
+            batch=MIN_BATCH,
+            chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
+        )
 
     @property
     def cell_capacity(self) -> int:
@@ -242,7 +285,7 @@ class Plan:
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:
         """The cell grid of each mesh wall by wall index, with the triangles that a particle can reach."""
-        reach = self.radius_max + self.reach_max + self.wall_displacement_limit
+        reach = self.radius_max + self.reach_max + self.wall_displacement_limit + self.laws.range
         return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
     def first_triangle(self, index: int) -> int:
@@ -251,9 +294,10 @@ class Plan:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls."""
+        """Sentences to show before a run: changes to the scene, time step and precision, mesh walls, forecasts."""
         meshes = tuple(f"walls.{n.wall}: {n.sentence}." for n in self.mesh_notes if n.warning)
-        return self.remarks + self.step.warnings + meshes
+        forecasts = tuple(each.warning for each in self.forecasts if each.warning is not None)
+        return self.remarks + self.step.warnings + meshes + forecasts
 
     @cached_property
     def domain_low(self) -> np.ndarray:

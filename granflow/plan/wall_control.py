@@ -155,12 +155,12 @@ def _stiffness(
     """
     single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = area_of(wall.shape) or _section(scene, _unit(given))
+    area = area_of(wall.shape) or section(scene, _unit(given))
     particle_count = sum(group.count for group in scene.particles.values())
     return single, single * max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0)
 
 
-def _section(scene: Scene, direction: tuple[float, float, float]) -> float:
+def section(scene: Scene, direction: Sequence[float] | np.ndarray) -> float:
     """Projected area [m2] of the domain along a direction (3,), unit vector."""
     size = np.subtract(scene.domain.max, scene.domain.min)
     return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])

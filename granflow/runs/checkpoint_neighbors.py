@@ -4,7 +4,6 @@ import numpy as np
 
 from granflow.io.checkpoint_parts import Part
 from granflow.io.machine import available_memory
-from granflow.plan.capacities import grown_capacity
 from granflow.plan.memory_check import MAX_LIST_ENTRIES
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
@@ -75,9 +74,9 @@ def _check_memory(part: Part, length: np.ndarray, plan: Plan) -> None:
     """
     chunk = np.arange(len(length)) // plan.chunk_size
     largest = int(np.bincount(chunk, weights=length, minlength=1).max())
-    if largest <= plan.list_capacity_per_chunk:
+    if largest <= plan.capacities.list_entries_per_chunk:
         return
-    entries = plan.chunk_capacity * grown_capacity(largest)
+    entries = plan.capacities.grown(largest, 0).list_entries
     needed, free = entries * estimate_memory(plan, plan.precision).per_neighbor, available_memory()
     if entries > MAX_LIST_ENTRIES or (free is not None and needed > free):
         raise part.error(f"requires {needed / 1e9:.3g} GB for {entries} list entries")

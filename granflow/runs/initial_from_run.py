@@ -8,6 +8,7 @@ import numpy as np
 from granflow.errors import SceneError
 from granflow.io.checkpoint import Checkpoint, newest_checkpoint
 from granflow.load import Scene, scene_of
+from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.size_classes import diameter_range
 
@@ -37,19 +38,19 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     before = scene_of(checkpoint.scene, str(checkpoint.path))
     check_particles_alone(checkpoint, before)
     names = list(before.particles)
-    shared = [name for name in scene.particles if name in names]
+    shared = {name: group for name, group in groups_of(scene).items() if name in names}
     if not shared:
         raise SceneError(
             f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
         )
-    found = {name: _particles_of_group(scene, name, checkpoint, names.index(name)) for name in shared}
-    problems = [problem for name in shared for problem in _inconsistencies(scene, name, found[name])]
+    found = {name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()}
+    problems = [problem for name, group in shared.items() for problem in _inconsistencies(group, found[name])]
     if problems:
         raise SceneError(problems)
     return found
 
 
-def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number: int) -> ParticleData:
+def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) -> ParticleData:
     """Return the particles of group `number` of the earlier scene, ordered by id."""
     saved = checkpoint.saved["engine"]
     particles = saved["particles"]
@@ -57,16 +58,16 @@ def _particles_of_group(scene: Scene, name: str, checkpoint: Checkpoint, number:
     in_group = order[saved["accounting"]["group"][particles["id"][order]] == number]
     arrays = {key: values[in_group].astype(np.float64) for key, values in particles.items()}
     velocity, angular_velocity = _at_the_time_of_positions(arrays, saved["clock"]["time_step"])
-    if scene.particles[name].fixed:
+    if group.spec.fixed:
         velocity, angular_velocity = np.zeros_like(velocity), np.zeros_like(angular_velocity)
-    count, material = len(in_group), list(scene.materials).index(scene.particles[name].material)
+    count = len(in_group)
     return ParticleData(
         position=arrays["position"],
         velocity=velocity,
         angular_velocity=angular_velocity,
         radius=arrays["radius"],
-        material=np.full(count, material, np.int32),
-        group=np.full(count, list(scene.particles).index(name), np.int32),
+        material=np.full(count, group.material_number, np.int32),
+        group=np.full(count, group.number, np.int32),
     )
 
 
@@ -82,19 +83,19 @@ def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple
     return velocity, arrays["angular_velocity"] + half * arrays["torque"] / (0.4 * mass * radius**2)
 
 
-def _inconsistencies(scene: Scene, name: str, particles: ParticleData) -> list[str]:
+def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
     """Return a sentence for each contradiction between a group of the scene and the particles of the earlier run."""
-    group, found = scene.particles[name], []
-    if len(particles) > group.count:
-        location = scene.locate("particles", name, "count")
+    spec, name, found = group.spec, group.name, []
+    if len(particles) > spec.count:
         found.append(
-            f"{location}: particles.{name}.count is {group.count}, but start_from has {len(particles)} particles."
+            f"{group.locate('count')}: particles.{name}.count is {spec.count}, but start_from has "
+            f"{len(particles)} particles."
         )
-    smallest, largest = diameter_range(group)
+    smallest, largest = diameter_range(spec)
     sizes = 2.0 * particles.radius
     if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
         found.append(
-            f"{scene.locate('particles', name, 'diameter')}: particles.{name}.diameter lies in [{smallest:.6g}, "
+            f"{group.locate('diameter')}: particles.{name}.diameter lies in [{smallest:.6g}, "
             f"{largest:.6g}] m, but start_from has diameters in [{sizes.min():.6g}, {sizes.max():.6g}] m."
         )
     return found

@@ -7,6 +7,7 @@ from granflow.io.checkpoint import Checkpoint
 from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.particles.particle_data import ParticleData
+from granflow.plan.forecast.regions import particle_warnings
 from granflow.plan.plan import Plan
 from granflow.runs.initial_from_run import particles_from_run
 
@@ -29,6 +30,12 @@ def initial_state(
         return given, [group.name for number, group in enumerate(plan.groups) if number in given.group]
     earlier = particles_from_run(scene)
     return initial_particles(scene, earlier), list(earlier)
+
+
+def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> list[str]:
+    """The warnings of the plan, and those about initial particles inside walls; `initial`: None for a resumed run."""
+    inside = [] if initial is None else particle_warnings(scene, plan.walls, initial)
+    return [*plan.warnings, *inside]
 
 
 def _refuse_others(plan: Plan, given: ParticleData) -> None:

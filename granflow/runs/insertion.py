@@ -24,7 +24,6 @@ class ParticleInsertion:
     """
 
     def __init__(self, scene: Scene, existing_groups: Container[str]) -> None:
-        self._scene = scene
         self._inserters = tuple(each for each in inserters(scene) if each.group_name not in existing_groups)
 
     def next_time(self) -> float:
@@ -94,7 +93,7 @@ class ParticleInsertion:
     def class_shares(self) -> Iterator[str]:
         """Yield a sentence for each group with size classes: inserted particles and mass share of each class."""
         for inserter in self._inserters:
-            if isinstance(self._scene.particles[inserter.group_name].diameter, ClassSizes):
+            if isinstance(inserter.group.spec.diameter, ClassSizes):
                 radius, mass = inserter.radius[inserter.is_inserted], inserter.mass[inserter.is_inserted]
                 parts = [
                     f"{count} of {2.0 * size:.6g} m ({mass[radius == size].sum() / mass.sum():.3%} of the mass)"

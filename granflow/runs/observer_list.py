@@ -1,6 +1,7 @@
 """The observers of a run: one snapshot for all that are due, their readings, and their state."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from math import inf
 
 from granflow.observers.base import Checkpointable, Observer
@@ -65,7 +66,11 @@ class ObserverList:
                 found[f"{kind} {sum(name.startswith(kind) for name in found)}"] = observer
         return found
 
-    def finish(self) -> None:
-        """Close the files of all observers."""
-        for observer in self._observers:
-            observer.finish()
+    @contextmanager
+    def finishing(self) -> Iterator[None]:
+        """Close the files of all observers at the end of the block."""
+        try:
+            yield
+        finally:
+            for observer in self._observers:
+                observer.finish()

@@ -5,14 +5,15 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
 from granflow.visible_text import readable
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _COUNTS = ("particle_count", "inserted_count", "queued_count", "deleted_count", "contact_count")
 _TOTAL = "wall_clock"
@@ -40,6 +41,8 @@ class Result:
     metrics: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     insertion: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     expectations: tuple[ExpectationResult, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """All warnings of the run, each once."""
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
@@ -63,7 +66,8 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, and expect, a list of sentences.
+    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, expect and warnings, both lists of
+    sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
@@ -75,14 +79,18 @@ def write_result(directory: Path, result: Result) -> Path:
         "metrics": {name: _finite(readings) for name, readings in result.metrics.items()},
         "insertion": {name: _finite(readings) for name, readings in result.insertion.items()},
         "expect": [{"sentence": sentence, "met": met} for sentence, met in result.expectations],
+        "warnings": list(result.warnings),
     }
     path = Path(directory) / "result.json"
     write_text(path, json.dumps(sections, indent=2) + "\n")
     return path
 
 
-def closing_table(result: Result, title: str = "Result") -> Table:
+def closing_table(result: Result, title: str = "Result") -> "Table":
     """Return the table printed at the end of a run: timings, counts, energies, flow meters, wall forces, insertion."""
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(justify="left")
     table.add_column(justify="right")

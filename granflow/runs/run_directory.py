@@ -4,15 +4,17 @@ import logging
 import time as clock
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from granflow.errors import OutputError
 from granflow.io.atomic_files import remove_parts
+from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import locked
-from granflow.io.log import run_log, write_scene_as_run
+from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_writer import CheckpointWriter
@@ -24,17 +26,20 @@ from granflow.runs.result import Result, write_result
 class RunDirectory:
     """Files of one run, except those of observers. Without a path nothing is written, and all methods have no effect.
 
-    `resumed`: checkpoint from which the run continues, or None.
+    `resumed`: checkpoint from which the run continues, or None. `writer`: writes the frames of observers, in a thread
+    while the directory is open.
 
     Raises GranflowError if a new run would delete an input file of its scene.
     """
 
     def __init__(self, path: Path | None, scene: Scene, resumed: Checkpoint | None) -> None:
         self.path = path
+        self.writer = BackgroundWriter()
         self._scene, self._resumed = scene, resumed
-        self._writer = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
+        self._checkpoints = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
+        self._warnings: list[str] = []
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
 
@@ -48,14 +53,17 @@ class RunDirectory:
         """Lock the directory, move the results of a previous run aside, write the input files, and start the log.
 
         An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
+        The end of the block waits for the frames.
         """
         with ExitStack() as stack:
+            self._warnings = stack.enter_context(collected_warnings())
             if self.path is not None:
                 stack.enter_context(locked(self.path))
                 if self._resumed is None:
                     self._delete_previous = stack.enter_context(replaced_run(self.path))
                 self._clean(self.path, observers)
                 stack.enter_context(run_log(self.path, append=self._resumed is not None))
+                stack.enter_context(self.writer.running())
             yield
 
     def _clean(self, path: Path, observers: Iterable[Checkpointable]) -> None:
@@ -70,36 +78,42 @@ class RunDirectory:
                 observer.truncate()
 
     def began(self) -> None:
-        """Delete the results of the previous run: the first frame of the new one is written."""
+        """Wait for the first frame of the new run and delete the results of the previous one."""
+        self.writer.wait()
         self._delete_previous()
 
     def start_schedule(self, time: float) -> None:
         """Start the schedule of checkpoints at `time` [s]."""
-        if self._writer is not None:
-            self._writer.start(time)
+        if self._checkpoints is not None:
+            self._checkpoints.start(time)
 
     @property
     def next_checkpoint(self) -> float:
         """Simulated time [s] of the next scheduled checkpoint, regardless of the wall clock; infinite without."""
-        return inf if self._writer is None else self._writer.next_time()
+        return inf if self._checkpoints is None else self._checkpoints.next_time()
 
     @property
     def checkpoint_time(self) -> float | None:
         """Simulated time of the last checkpoint [s], initially that of the resumed one; None without a checkpoint."""
-        written = self._writer.last_time if self._writer is not None else None
+        written = self._checkpoints.last_time if self._checkpoints is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
     def save(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
         """Write a checkpoint of the state at `time` [s]. Raises OSError if it cannot be written."""
-        if self._writer is not None:
+        if self._checkpoints is not None:
             began = clock.perf_counter()
-            self._writer.write(time, step, dict(state()))
+            self._checkpoints.write(time, step, dict(state()))
             self._log.info("checkpoint at %.6g s, written in %.3g s", time, clock.perf_counter() - began)
 
     def save_if_due(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
-        """Write a checkpoint if one is due, and log a write error; raises OSError if the directory is gone."""
-        if self._writer is None or not self._writer.due(time):
+        """Write a checkpoint if one is due, and log a write error.
+
+        Raises OSError if the directory is gone, or if a frame cannot be written.
+        """
+        self.writer.check()
+        if self._checkpoints is None or not self._checkpoints.due(time):
             return
+        self.writer.wait()
         try:
             self.save(time, step, state)
         except OSError as error:
@@ -107,13 +121,20 @@ class RunDirectory:
                 raise
             logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
 
-    def write(self, result: Result) -> None:
-        """Write the result of the run."""
+    def write(self, result: Result) -> Result:
+        """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
+        self.writer.wait()
+        result = replace(result, warnings=tuple(dict.fromkeys(self._warnings)))
         if self.path is not None:
             write_result(self.path, result)
+        return result
 
     def note_on_state(self, written: bool) -> str:
-        """Return a sentence for an aborted run: whether its state is `written`; empty without a path."""
+        """Return a sentence for an aborted run: whether its state is `written`; empty without a path.
+
+        Waits for the frames.
+        """
+        self.writer.wait()
         if self.path is None:
             return ""
         if written:
@@ -132,6 +153,6 @@ class RunDirectory:
                 save()
         except OSError:
             self._log.debug("no checkpoint can be written either")
-        last = self._writer.last_time if self._writer is not None else None
+        last = self._checkpoints.last_time if self._checkpoints is not None else None
         remedy = f"Correct this; granflow resume {self.path} continues from {last:.6g} s." if last is not None else ""
         return OutputError(f"{where}{error.strerror}. Stopped at {time:.6g} s. {remedy}".rstrip())

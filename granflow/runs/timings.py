@@ -2,7 +2,7 @@
 
 import logging
 import time as clock
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -74,6 +74,7 @@ def collect_result(
         "time_step": engine.mean_time_step,
         "steps_per_second": engine.step_count / computing,
         "particle_steps_per_second": timing.particle_steps / computing,
+        "steps_per_second_of_wall_clock": engine.step_count / wall_clock.total(engine),
         "rebuild_count": float(timing.rebuild_count),
         "wall_clock": wall_clock.total(engine),
     }
@@ -97,8 +98,8 @@ def collect_result(
     )
 
 
-def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
-    """Write versions, device, plan with reasons, and warnings to the log.
+def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: Iterable[str]) -> None:
+    """Write versions, device, plan with reasons, and the `warnings` before the run to the log.
 
     `resumed`: checkpoint from which the run continues, or None.
     """
@@ -108,7 +109,7 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None) -> None:
     log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
     for line in explain(plan).splitlines():
         log.info("%s", line)
-    for warning in plan.warnings:
+    for warning in warnings:
         log.warning("%s", warning)
     if resumed is not None:
         log.info("resumed from %s at %.6g s", resumed.path, engine.time)

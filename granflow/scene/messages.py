@@ -63,12 +63,15 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
     return tuple(written)
 
 
-def problems_of(document: Document, errors: Sequence[ErrorDetails]) -> list[Problem]:
+def problems_of(
+    document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel] = SceneInput
+) -> list[Problem]:
     """The errors of the schema as problems, without consequences of other errors; at most 1000.
 
-    Omitted: copied defaults of invalid values, and a missing key if an unknown key is probably a misspelling of it.
+    `schema`: model of the whole document. Omitted: copied defaults of invalid values, and a missing key if an unknown
+    key is probably a misspelling of it.
     """
-    found = [_SchemaError(document, each) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE]
+    found = [_SchemaError(document, each, schema) for each in errors[:_MAX_ERRORS] if each["type"] != _CONSEQUENCE]
     suggested = {error.suggested() for error in found if error.type == "extra_forbidden"}
     return [
         problem_at(document, error.fault())
@@ -83,8 +86,8 @@ class _SchemaError:
     `loc`: as in pydantic, without the mark of keys; `path`: key path in the file.
     """
 
-    def __init__(self, document: Document, details: ErrorDetails) -> None:
-        self.document = document
+    def __init__(self, document: Document, details: ErrorDetails, schema: type[BaseModel]) -> None:
+        self.document, self.schema = document, schema
         self.type: str = details["type"]
         self.message: str = details["msg"]
         self.context: dict[str, Any] = details.get("ctx", {})
@@ -95,7 +98,7 @@ class _SchemaError:
 
     def keys(self) -> list[str]:
         """The keys of the model that contains the location."""
-        return _keys(model_at(SceneInput, self.loc[:-1]))
+        return _keys(model_at(self.schema, self.loc[:-1]))
 
     def suggested(self) -> KeyPath:
         """Path of the key that an unknown key probably means; the path of the unknown key if none is similar."""
@@ -113,7 +116,7 @@ class _SchemaError:
         if self.type == "literal_error":
             return self._one_of(self.path, re.findall(r"'([^']*)'", str(self.context.get("expected"))))
         if self.type in ("model_type", "model_attributes_type"):
-            keys = ", ".join(_keys(model_at(SceneInput, self.loc)))
+            keys = ", ".join(_keys(model_at(self.schema, self.loc)))
             return Fault(self.path, f"a mapping with the keys {keys} is expected")
         if self.of_key:
             return whole(self.path, f"is not valid here: {self.message}")
@@ -121,7 +124,7 @@ class _SchemaError:
 
     def _description(self) -> str:
         """Description of the missing key from the schema."""
-        model = model_at(SceneInput, self.loc[:-1])
+        model = model_at(self.schema, self.loc[:-1])
         fields = model.model_fields.items() if model else ()
         found = [field.description for name, field in fields if self.loc[-1] in (name, field.alias)]
         return (found and found[0]) or "it is required"
@@ -135,7 +138,7 @@ class _SchemaError:
         if node is None or "reason" in self.context:
             return Fault(self.path, self.context.get("reason", "it cannot be read"))
         key = self.context["key"]
-        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(SceneInput, self.loc))]
+        names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(self.schema, self.loc))]
         names = [name for name in names if name not in ("number", "list", "none")]
         if node.entries is not None and key in node.entries:
             return self._one_of((*self.path, key), names)

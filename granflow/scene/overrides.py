@@ -3,11 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+from granflow.contact.model import SLOTS
 from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition
 from granflow.scene.messages import dotted, model_at
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import suggestion_or_list
 from granflow.scene.yaml12 import parse
+
+SINGLE_ITEMS = ("motion",)
+"""Keys with a list, or with one of its items in place of the list. Resolved scenes have the list; with both forms of a
+scene the same override is valid, with or without the index 0."""
+
+SHORT_LAWS = [["contact", slot] for slot in SLOTS]
+"""Keys with the name of a contact model, or with a mapping that begins with the key `law`."""
 
 
 class _Refused(Exception):
@@ -48,6 +56,10 @@ def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition
         return value
     if node.items is not None:
         return _with_item(node, keys, value, position, depth)
+    if node.entries is None and keys[:depth] in SHORT_LAWS and isinstance(node.scalar, str):
+        node = replace(node, entries={"law": MappingEntry(position, node)}, scalar=None)
+    if node.entries is not None and keys[depth] == "0" and keys[depth - 1] in SINGLE_ITEMS:
+        return _with(node, keys, value, position, depth + 1)
     if node.entries is None:
         parent = dotted(keys[:depth])
         raise _Refused(f"{parent or 'the scene'} is {node.shown()}, which has no keys; set {parent} as a whole.")
@@ -64,6 +76,8 @@ def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePos
     """Copy of a list node with one item replaced. Raises _Refused for an invalid index."""
     items = list(node.items or ())
     index = keys[depth]
+    if keys[depth - 1] in SINGLE_ITEMS and len(items) == 1 and not index.isdigit():
+        return replace(node, items=[_with(items[0], keys, value, position, depth)])
     if not (index.isascii() and index.isdigit() and int(index) < len(items)):
         numbers = f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
         raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")

@@ -37,7 +37,7 @@ class PartialScene:
 
     def faults(self) -> Iterator[Fault]:
         """Inconsistencies between the fields of each valid part, with the full key path of the fault."""
-        for fault in _faults(self.scene, ()):
+        for fault in faults_of(self.scene):
             section, *rest = fault.path
             if section in self.indices:
                 yield replace(fault, path=(section, self.indices[str(section)][int(rest[0])], *rest[1:]))
@@ -103,12 +103,12 @@ def clear_schema() -> None:
     _without_required_keys.cache_clear()
 
 
-def _faults(value: Any, path: KeyPath) -> Iterator[Fault]:
+def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
     """Faults of a value and of all models in it, depth first, with key paths from the root."""
     if isinstance(value, Model):
         yield from (replace(fault, path=(*path, *fault.path)) for fault in value.faults())
         for name, each in type(value).model_fields.items():
-            yield from _faults(getattr(value, name), (*path, each.alias or name))
+            yield from faults_of(getattr(value, name), (*path, each.alias or name))
     elif isinstance(value, dict | tuple):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _faults(each, (*path, key))
+            yield from faults_of(each, (*path, key))

@@ -46,39 +46,44 @@ def _not_shown(problems: Sequence[Problem]) -> list[str]:
     return [f"{last}: this is the last of {more} more problems, which are not shown."] if more > 0 else []
 
 
-def document_in(path: Path) -> Document:
-    """The tree of a file. Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping."""
+def document_in(path: Path, kind: str = "scene") -> Document:
+    """The tree of a file; `kind`: what it describes, for messages.
+
+    Raises SceneError for a file that cannot be read, is not YAML 1.2, or is not a mapping.
+    """
     try:
-        document = parse(_text(path), str(path))
+        document = parse(_text(path, kind), str(path))
     except DocumentError as error:
         raise SceneError(str(error.problem)) from None
     if document.root.entries is None:
         shown = document.root.shown()
         reason = "the file is empty" if shown == "empty" else "this is not a mapping"
-        raise SceneError(f"{path}:1:1: {reason}, but a scene is a mapping of keys to values, such as title: My scene.")
+        raise SceneError(
+            f"{path}:1:1: {reason}, but a {kind} is a mapping of keys to values, such as title: My {kind}."
+        )
     return document
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, kind: str) -> str:
     """The text of a file.
 
     Raises SceneError for a directory, a file that is missing, special, too large or unreadable.
     """
     try:
         if path.is_dir():
-            raise SceneError(f"{path}: this is a directory; give the scene file in it.")
+            raise SceneError(f"{path}: this is a directory; give the {kind} file in it.")
         if path.exists() and not path.is_file():
-            raise SceneError(f"{path}: this is not a regular file; give a scene file.")
+            raise SceneError(f"{path}: this is not a regular file; give a {kind} file.")
         with path.open("rb") as file:
             raw = file.read(_MAX_FILE_SIZE + 1)  # files of the kernel (/proc) report no size
         if len(raw) > _MAX_FILE_SIZE:
-            raise SceneError(f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a scene.")
+            raise SceneError(f"{path}: this file is larger than {_MAX_FILE_SIZE // 2**20} MiB, too large for a {kind}.")
     except FileNotFoundError:
         raise SceneError(f"{path}: there is no such file.{_similar(path)}") from None
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise SceneError(f"{path}: the file cannot be read: {why}.") from None
-    return _decoded(raw, path)
+    return _decoded(raw, path, kind)
 
 
 def _similar(path: Path) -> str:
@@ -90,7 +95,7 @@ def _similar(path: Path) -> str:
     return f" Did you mean {path.parent / near}?" if near else ""
 
 
-def _decoded(raw: bytes, path: Path) -> str:
+def _decoded(raw: bytes, path: Path, kind: str) -> str:
     """The text of UTF-8 bytes, without a byte order mark. Raises SceneError for another encoding or binary data."""
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise SceneError(f"{path}:1:1: the file is encoded in UTF-16; save it as UTF-8.")
@@ -101,7 +106,7 @@ def _decoded(raw: bytes, path: Path) -> str:
         column = error.start - raw.rfind(b"\n", 0, error.start)
         raise SceneError(f"{path}:{line}:{column}: the file is not valid UTF-8 text; save it as UTF-8.") from None
     if "\0" in text:
-        raise SceneError(f"{path}: the file is binary; a scene is UTF-8 text.")
+        raise SceneError(f"{path}: the file is binary; a {kind} is UTF-8 text.")
     return text
 
 

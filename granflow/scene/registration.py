@@ -4,6 +4,7 @@ from granflow.contact import registry
 from granflow.contact.model import ContactModel
 from granflow.scene import partial
 from granflow.scene.schema import contact, materials
+from granflow.scene.schema.fields import Model
 from granflow.scene.schema.scene import SceneInput
 
 
@@ -27,7 +28,7 @@ def _use_registry() -> None:
     """Rebuild the schema from the registry."""
     contact.use_registry()
     materials.use_registry()
-    scenes: list[type[SceneInput]] = [SceneInput, *SceneInput.__subclasses__()]
-    for scene in scenes:
-        scene.model_rebuild(force=True)
+    blocks: list[type[Model]] = [contact.Contact, materials.MaterialPair, SceneInput, *SceneInput.__subclasses__()]
+    for block in blocks:
+        block.model_rebuild(force=True)
     partial.clear_schema()

@@ -1,4 +1,4 @@
-"""Suggestions for unknown names, and the table of renamed keys.
+"""Suggestions for unknown names, and the tables of renamed keys and of names in other codes.
 
 Similarity is that of difflib (Ratcliff and Obershelp), between 0 and 1.
 """
@@ -38,6 +38,68 @@ RENAMED_KEYS = {
 """Keys and values of version 0.1, and their present names."""
 
 
+SYNONYMS: dict[str, tuple[str, ...]] = {
+    "ball": ("particles",),
+    "boundary": ("periodic", "on_exit"),
+    "coefficientfriction": ("friction",),
+    "coefficientrestitution": ("restitution",),
+    "coefficientrollingfriction": ("rolling_friction",),
+    "cof": ("friction",),
+    "cohesionenergydensity": ("cohesion_energy_density",),
+    "cor": ("restitution",),
+    "dmt": ("dmt", "jkr", "sjkr"),
+    "dt": ("time_step",),
+    "dump": ("output", "interval"),
+    "epsd2": ("epsd",),
+    "facet": ("mesh",),
+    "factory": ("rain",),
+    "fixmovemesh": ("motion",),
+    "fixwallgran": ("walls", "plane"),
+    "freeze": ("fixed",),
+    "grain": ("particles",),
+    "hertzmindlin": ("hertz", "mindlin"),
+    "hooke": ("linear",),
+    "hookean": ("linear",),
+    "insertpack": ("pack",),
+    "insertrateregion": ("rain",),
+    "insertstream": ("inlet",),
+    "jkr": ("jkr", "sjkr"),
+    "lsd": ("linear",),
+    "meshsurface": ("mesh",),
+    "mindlindeltashear": ("mindlin",),
+    "movemesh": ("motion",),
+    "mu": ("friction",),
+    "nu": ("poisson_ratio",),
+    "omega": ("angular_velocity",),
+    "oscillation": ("vibration",),
+    "paircoeff": ("pairs",),
+    "pairstyle": ("contact",),
+    "pour": ("rain",),
+    "random": ("pack", "rain"),
+    "rectangularwall": ("rectangle",),
+    "rho": ("density",),
+    "rotate": ("rotation",),
+    "sphere": ("particles",),
+    "springdashpot": ("linear", "spring"),
+    "stl": ("mesh",),
+    "timestep": ("time_step",),
+    "tsuji": ("hertz",),
+    "wallgran": ("walls", "plane"),
+    "wiggle": ("vibration",),
+    "youngsmodulus": ("young_modulus",),
+    "zplane": ("plane",),
+}
+"""Names in other codes (LIGGGHTS, LAMMPS, YADE, MercuryDPM, EDEM), in lowercase letters and digits only, and names here
+for the same or the nearest feature, in the order of preference."""
+
+
+def synonym(word: str, known: Iterable[str]) -> str | None:
+    """The first known name for a name in another code; None if there is none."""
+    names = list(known)
+    plain = "".join(letter for letter in word.lower() if letter.isalnum())
+    return next((name for name in SYNONYMS.get(plain, ()) if name in names), None)
+
+
 def renamed(word: str, known: Iterable[str]) -> str | None:
     """The present name of a renamed key, if it is one of the known names; None otherwise."""
     new = RENAMED_KEYS.get(word)
@@ -45,10 +107,13 @@ def renamed(word: str, known: Iterable[str]) -> str | None:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The present name of a renamed key, else the known name closest to the word, if one is close; None otherwise."""
+    """The present name of a renamed key, the name of a synonym, or the known name closest to the word, if one is close.
+
+    None otherwise.
+    """
     names = list(known)
     matches = difflib.get_close_matches(word, names, n=1, cutoff=_CLOSE)
-    return renamed(word, names) or (matches[0] if matches else None)
+    return renamed(word, names) or synonym(word, names) or (matches[0] if matches else None)
 
 
 def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:

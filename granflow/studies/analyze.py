@@ -46,9 +46,13 @@ def _contacts(frame: Frame) -> dict[str, np.ndarray] | None:
     if frame.contacts is None:
         return None
     mesh = read_mesh(frame.contacts)
-    lines = mesh.cells_dict.get("line", np.zeros((0, 2), np.int64))
+    lines: np.ndarray = np.concatenate([np.zeros((0, 2), np.int64), *(b.data for b in mesh.cells if b.type == "line")])
     found = {name: parts[0] for name, parts in mesh.cell_data.items() if name in CONTACT_QUANTITIES}
-    empty_contacts = {"wall": np.zeros(0, np.int32), "force": np.zeros((0, 3))}
+    empty_contacts: dict[str, np.ndarray] = {
+        "wall": np.zeros(0, np.int32),
+        "force": np.zeros((0, 3)),
+        "sliding": np.zeros(0, np.uint8),
+    }
     return empty_contacts | found | {"position_i": mesh.points[lines[:, 0]], "position_j": mesh.points[lines[:, 1]]}
 
 

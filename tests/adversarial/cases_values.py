@@ -29,7 +29,7 @@ def values() -> list[Case]:
             "density_run",
             "a density of 1e30 kg/m3, in a run",
             [("density: 2500", "density: 1e30")],
-            "too soft for this load",
+            "check the units of densities",
             verb="run beads.yaml --out out",
             code=3,
         ),

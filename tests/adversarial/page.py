@@ -1,4 +1,4 @@
-"""The table of all adversarial cases in docs/adversarial.md; one function writes and compares it."""
+"""The table of all adversarial cases in docs/pages/reference/invalid_inputs.md; one function writes and compares it."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ from adversarial import (
 from adversarial.case import Case, Outcome, plain
 from adversarial.sandbox import ROOT
 
-PAGE = ROOT / "docs" / "adversarial.md"
+PAGE = ROOT / "docs" / "pages" / "reference" / "invalid_inputs.md"
 MODULES = (
     *(cases_scene, cases_commands, cases_input, cases_values),
     *(cases_physics, cases_faults, cases_resume, cases_long),

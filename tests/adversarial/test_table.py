@@ -1,4 +1,4 @@
-"""Adversarial cases have their expected results, and docs/adversarial.md lists them."""
+"""Adversarial cases have their expected results, and docs/pages/reference/invalid_inputs.md lists them."""
 
 import functools
 
@@ -44,4 +44,4 @@ def test_case_has_the_expected_result(case):
 def test_page_matches_the_results():
     before = page_text()
     after = page_of({name: outcome(name) for name in NAMES}, before)
-    assert after.splitlines() == before.splitlines(), "run tools/adversarial.py to update docs/adversarial.md"
+    assert after.splitlines() == before.splitlines(), "run tools/adversarial.py to update the page"

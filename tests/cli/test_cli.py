@@ -33,7 +33,7 @@ def stubs(monkeypatch, tmp_path):
 
         def __init__(self, scene, **options):
             calls.simulation = options
-            self.plan = types.SimpleNamespace(warnings=calls.warnings)
+            self.plan, self.warnings = types.SimpleNamespace(), list(calls.warnings)
 
         def request_stop(self, error):
             raise error

@@ -12,27 +12,15 @@ from pathlib import Path
 
 import meshio
 import pytest
+from adversarial.beads import BEADS
 
-SCENE = """\
-title: Ten beads fall
-gravity: [0, 0, -9.81]
-materials: {glass: {young_modulus: 10 MPa, poisson_ratio: 0.23, density: 2500}}
-pairs: {glass-glass: {restitution: 0.8, friction: 0.4}}
-contact: {normal: zhou, tangential: mindlin, rolling: none}
-walls:
-  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
-particles:
-  beads:
-    material: glass
-    count: 10
-    diameter: 4 mm
-    insert: {kind: lattice, region: {box: {min: [0, 0, 0], max: [2 cm, 2 cm, 1 cm]}}}
-domain: {min: [-1 cm, -1 cm, -1 cm], max: [3 cm, 3 cm, 3 cm], on_exit: error}
-run: {duration: 50 ms}
-output: {interval: 10 ms}
+SCENE = (
+    BEADS
+    + """\
 expect:
   - {quantity: particle_count, equals: 10, tolerance: 0}
 """
+)
 ON_EXIT_LINE = 14
 FRAMES_TIMEOUT = 60.0
 """Longest wait [s] for the first frames of a run that is then interrupted."""
@@ -129,7 +117,31 @@ def test_unsatisfied_expectation_and_warning_are_reported(home):
     )
     assert unsatisfied.returncode == 1, unsatisfied.stderr
     assert "NOT AS EXPECTED: particle_count is 10, but should be equal to 11." in unsatisfied.stdout
-    assert unsatisfied.stderr.count("granflow: warning: glass-glass: the restitution at 0.886 m/s is 0.8, but") == 1
+    warning = "glass-glass: the restitution at 0.886 m/s is 0.8, but"
+    assert unsatisfied.stderr.count(f"granflow: warning: {warning}") == 1
+
+
+def test_every_warning_on_the_screen_is_in_log_result_and_report(home):
+    """A coarse time step, an impact above the overlap limit, and particles that are due after the end."""
+    rain = "{kind: rain, rate: 10, start: 1 s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 2 cm]}}}"
+    late = f"{{material: glass, count: 5, diameter: 4 mm, insert: {rain}}}"
+    changes = (
+        "run.duration=2 ms",
+        "run.time_step=5e-5",
+        "numerics.max_overlap=0.05",
+        f"particles.late={late}",
+        "expect=[]",
+    )
+    arguments = [argument for change in changes for argument in ("--set", change)]
+    done = granflow(home, "run", "beads.yaml", "--out", "warned", *arguments)
+    assert done.returncode == 0, done.stderr
+    printed = [line.partition("warning: ")[2] for line in done.stderr.splitlines() if "warning: " in line]
+    for words in ("an impact at 0.886 m/s", "5 of 5 late were not inserted", "the restitution at 0.886 m/s"):
+        assert sum(words in line for line in printed) == 1, done.stderr
+    log = (home / "warned" / "run.log").read_text(encoding="utf-8")
+    stored = json.loads((home / "warned" / "result.json").read_text(encoding="utf-8"))["warnings"]
+    assert set(stored) == set(printed) and len(printed) == len(set(printed))
+    assert all(f"WARNING granflow: {line}" in log for line in printed)
 
 
 def test_aborted_run_writes_its_last_state(home):

@@ -6,7 +6,6 @@ from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
-import taichi as ti
 
 from granflow.contact.cohesion.sjkr import Sjkr
 from granflow.contact.law import ContactState, ModelRequest
@@ -15,6 +14,7 @@ from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.registry import models
 from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.structs import build_constants, build_read_slots, build_slot_vector
+from granflow.kernel_language import ti
 
 
 @dataclass(frozen=True)
@@ -224,19 +224,23 @@ def evaluate_path(case, overlap, rate, units=SI, radius=RADIUS, mass=MASS, time_
     shape = overlap.shape
     found = [np.zeros(shape) for _ in range(5)]
     history = np.zeros((*shape, max(laws.normal.history_count, 1)))
-    constants = np.array(laws.pair_constants(case.pair(units)))
+    constants = (np.array(laws.pair_constants(case.pair(units))), law_parameters(laws))
     pair_arguments = (radius * units.meter, mass * units.kilogram, time_step * units.second)
     given = (overlap * units.meter, rate * units.velocity)
-    kernel_for(laws, len(constants))(
-        constants, *pair_arguments, *(np.ascontiguousarray(g) for g in given), *found, history
-    )
+    kernel_for(laws)(*constants, *pair_arguments, *(np.ascontiguousarray(g) for g in given), *found, history)
     return PathResult(*found, history)
 
 
-def single_contact(laws, constant_count):
+def law_parameters(laws):
+    """Row of the law parameters; one 0 without parameters, because arrays of kernels are not empty."""
+    return np.array([value for own in laws.parameters.values() for value in own.values()] or [0.0])
+
+
+def single_contact(laws):
     """Device functions for one contact in a test kernel: constants, contact, history, force, energies of the laws."""
     constants_of, normal_force_of = build_constants(laws), build_normal_force(laws, False)
     size, slot_vector = max(laws.normal.history_count, 1), build_slot_vector(laws, "normal")
+    pair_count, parameter_count = sum(map(len, laws.constant_names.values())), len(law_parameters(laws))
     counts = {slot: law.history_count for slot, law in laws.by_slot.items() if law.history_count}
 
     @ti.func
@@ -246,8 +250,12 @@ def single_contact(laws, constant_count):
     read_slots = build_read_slots(laws, zeros, counts)
 
     @ti.func
-    def read_constants(numbers: ti.template()):
-        return constants_of(ti.Vector([numbers[k] for k in ti.static(range(constant_count))]))
+    def vector_of(numbers: ti.template(), count: ti.template()):
+        return ti.Vector([numbers[k] for k in ti.static(range(count))])
+
+    @ti.func
+    def read_constants(pair: ti.template(), parameters: ti.template()):
+        return constants_of(vector_of(pair, pair_count), vector_of(parameters, parameter_count))
 
     @ti.func
     def new_history():
@@ -277,19 +285,19 @@ def single_contact(laws, constant_count):
 
 
 @cache
-def kernel_for(laws, constant_count):
+def kernel_for(laws):
     """A kernel that evaluates contacts along their overlaps."""
-    read_constants, new_history, contact_of, force_of, energies, history_vector = single_contact(laws, constant_count)
+    read_constants, new_history, contact_of, force_of, energies, history_vector = single_contact(laws)
     history_size = max(laws.normal.history_count, 1)
-    table, cube = ti.types.ndarray(ti.f64, 2), ti.types.ndarray(ti.f64, 3)
+    row, table, cube = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3))
 
     @ti.kernel
     def evaluate(
-        numbers: ti.types.ndarray(ti.f64, 1), radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
+        pair: row, parameters: row, radius: ti.f64, mass: ti.f64, dt: ti.f64, overlap: table, rate: table,
         force: table, viscous: table, repulsion: table, stored: table, lost: table, history: cube
     ):  # fmt: skip
         for i in range(overlap.shape[0]):
-            constants, history_now = read_constants(numbers), new_history()
+            constants, history_now = read_constants(pair, parameters), new_history()
             for s in range(overlap.shape[1]):
                 contact = contact_of(radius, mass, dt, overlap[i, s], rate[i, s])
                 if contact.overlap > 0.0:

@@ -4,8 +4,19 @@ from functools import cache
 
 import numpy as np
 import pytest
-import taichi as ti
-from contact.cases import CASES, COHESION, CONTINUOUS, MASS, PLAIN, RADIUS, evaluate_path, single_contact
+from contact.cases import (
+    CASES,
+    COHESION,
+    CONTINUOUS,
+    MASS,
+    PLAIN,
+    RADIUS,
+    evaluate_path,
+    law_parameters,
+    single_contact,
+)
+
+from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
 
@@ -14,9 +25,9 @@ TABLE = ti.types.ndarray(ti.f64, 1)
 
 
 @cache
-def kernel_for(laws, constant_count):
+def kernel_for(laws):
     """A kernel that integrates one collision per velocity with the leapfrog scheme of the engine."""
-    read_constants, new_history, contact_of, force_of, energies, _ = single_contact(laws, constant_count)
+    read_constants, new_history, contact_of, force_of, energies, _ = single_contact(laws)
     law = laws.normal
     since_separation = (
         1.0 if law.name == "zhou" else 0.5
@@ -24,11 +35,11 @@ def kernel_for(laws, constant_count):
 
     @ti.kernel
     def collide(
-        numbers: TABLE, radius: ti.f64, mass: ti.f64, velocity: TABLE, start: TABLE, dt: TABLE, limit: ti.i32,
-        rebound: TABLE, duration: TABLE, lost: TABLE
+        pair: TABLE, parameters: TABLE, radius: ti.f64, mass: ti.f64, velocity: TABLE, start: TABLE, dt: TABLE,
+        limit: ti.i32, rebound: TABLE, duration: TABLE, lost: TABLE
     ):  # fmt: skip
         for i in range(velocity.shape[0]):
-            constants, history = read_constants(numbers), new_history()
+            constants, history = read_constants(pair, parameters), new_history()
             overlap, half, force, viscous_work, time = start[i] * dt[i] * velocity[i], velocity[i], 0.0, 0.0, 0.0
             over, free = 0, 0
             for _ in range(limit):
@@ -68,9 +79,9 @@ def collisions(case, steps, phases=7, velocities=VELOCITIES):
     expected = np.repeat([sum(law.phase_durations(pair, RADIUS, MASS, v)) for v in velocities], phases)
     start = np.tile((np.arange(phases) + 0.5) / phases, len(velocities))
     found = [np.zeros(len(velocity)) for _ in range(3)]
-    constants = np.array(case.laws().pair_constants(pair))
+    constants = np.array(case.laws().pair_constants(pair)), law_parameters(case.laws())
     step = expected / steps
-    kernel_for(case.laws(), len(constants))(constants, RADIUS, MASS, velocity, start, step, 4 * steps, *found)
+    kernel_for(case.laws())(*constants, RADIUS, MASS, velocity, start, step, 4 * steps, *found)
     rebound, duration, lost = found
     energy = 0.5 * MASS * velocity**2
     missing = (energy - 0.5 * MASS * rebound**2 - lost) / energy

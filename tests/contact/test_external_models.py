@@ -13,13 +13,14 @@ from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
-from granflow.contact.device import ti
-from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, RollingLaw
+from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.options import Amount, PairOption
+from granflow.contact.surface_law import RollingLaw
+from granflow.device_functions import ti
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
 from granflow.scene.jsonschema import json_schema
@@ -43,22 +44,23 @@ class Sticky(CohesionLaw):
         return cls(request.options["saturation"])
 
     @property
+    def parameters(self):
+        return {"saturation": self.saturation}
+
+    @property
     def history(self):
         return (HistoryField("largest", "largest overlap", "m", in_output=True),)
-
-    def pair_constants(self, pair):
-        return (pair.options["attraction"],)
 
     @ti.func
     def force(self, constants, contact, history):
         history_new = history
         history_new.largest = ti.max(history.largest, contact.overlap)
-        return constants.attraction * contact.overlap / (contact.overlap + self.saturation), history_new
+        return constants.attraction * contact.overlap / (contact.overlap + constants.saturation), history_new
 
     @ti.func
     def stored_energy(self, constants, contact, history):
         return -constants.attraction * (
-            contact.overlap - self.saturation * ti.log(1.0 + contact.overlap / self.saturation)
+            contact.overlap - constants.saturation * ti.log(1.0 + contact.overlap / constants.saturation)
         )
 
     def reference(self, contact):
@@ -70,7 +72,7 @@ class Sticky(CohesionLaw):
 class Viscous(RollingLaw):
     """A torque proportional to the rolling rate."""
 
-    name = "viscous"
+    name = "syrupy"
     source = "this test, 2026"
     limits = "a model without physical basis"
     constant_names = ("rolling_viscosity",)
@@ -81,9 +83,6 @@ class Viscous(RollingLaw):
             HistoryField("torque", "torque of the previous step", "N m", size=3, in_output=True),
             HistoryField("duration", "duration of the contact", "s", in_output=True),
         )
-
-    def pair_constants(self, pair):
-        return (pair.options["rolling_viscosity"],)
 
     @ti.func
     def torque(self, constants, contact, history):
@@ -104,7 +103,7 @@ STICKY = ContactModel(
 )
 VISCOUS = ContactModel(
     Viscous,
-    "viscous rolling torque",
+    "syrupy rolling torque",
     pair_options=(PairOption("rolling_viscosity", Amount("torque over rolling rate [N m s]", "1e-6", at_least=0)),),
 )
 SCENE = """\
@@ -116,7 +115,7 @@ pairs:
 contact:
   normal: zhou
   tangential: mindlin
-  rolling: viscous
+  rolling: syrupy
   cohesion: {law: sticky, saturation: 10 um}
 walls:
   floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}
@@ -194,7 +193,7 @@ def test_scene_runs_with_energy_budget_contact_output_and_identical_restart(tmp_
 
 def test_json_schema_contains_the_models():
     text = json.dumps(json_schema())
-    assert "viscous (viscous rolling torque)" in text and '"sticky"' in text
+    assert "syrupy (syrupy rolling torque)" in text and '"sticky"' in text
     assert "overlap [m] at half the attraction" in text
     assert "largest attraction [N]; required with contact.cohesion: sticky" in text
     unregister_contact_model(STICKY)
@@ -210,8 +209,8 @@ def test_json_schema_contains_the_models():
         ("law: sticky", "law: stiky", "scene.yaml:10"),
         ("attraction: 20 mN", "attraction: 20 kg", "scene.yaml:5:62: pairs.glass-glass.attraction is 20 kg"),
         (", attraction: 20 mN", "", "pairs.glass-glass.attraction is missing: contact.cohesion is sticky"),
-        ("rolling: viscous", "rolling: none", "contact.rolling is none; remove rolling_viscosity, or choose viscous"),
-        ("rolling: viscous", "rolling: viscus", "scene.yaml:9:12: contact.rolling is viscus"),
+        ("rolling: syrupy", "rolling: none", "contact.rolling is none; remove rolling_viscosity, or choose syrupy"),
+        ("rolling: syrupy", "rolling: syrupi", "scene.yaml:9:12: contact.rolling is syrupi"),
     ],
 )
 def test_messages_have_a_position(tmp_path, old, new, message):
@@ -221,17 +220,7 @@ def test_messages_have_a_position(tmp_path, old, new, message):
 def test_a_model_that_no_pair_needs_is_not_active(tmp_path):
     plan = plan_for(scene_of(tmp_path, parts=[("attraction: 20 mN", "attraction: 0")]))
     assert plan.laws.cohesion is None and not plan.laws.attracts
-    assert plan.features.rolling == "viscous"
-
-
-def test_a_range_is_rejected_at_registration():
-    @dataclass(frozen=True)
-    class Bridge(Sticky):
-        name = "bridge"
-        range = 1e-3
-
-    with pytest.raises(ValueError, match="a range other than 0 is not supported"):
-        register_contact_model(ContactModel(Bridge, "acts without overlap"))
+    assert plan.features.rolling == "syrupy"
 
 
 class StickyCase(Case):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import taichi as ti
 
-from granflow.contact.rolling.cdt import STOPPED_SHARE, directional_torque
+from granflow.contact.rolling.bounded_torque import STOPPED_SHARE, bounded_torque
 from granflow.contact.tangential import spring
+from granflow.kernel_language import ti
 
 VECTORS = ti.types.ndarray(ti.f64, 2)
 NUMBERS = ti.types.ndarray(ti.f64, 1)
@@ -42,7 +42,7 @@ def apply_torque(
 ):
     for i in range(normal_force.shape[0]):
         omega = ti.Vector([rate[i, 0], rate[i, 1], rate[i, 2]])
-        result = directional_torque(radius, friction, normal_force[i], omega, inertia, dt)
+        result = bounded_torque(friction * radius * normal_force[i], omega, omega.norm(), inertia, dt)
         for k in ti.static(range(3)):
             torque[i, k] = result[k]
 

@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
-import taichi as ti
-from scene_builders import box, build_scene, particle_group, prepared_simulation
+from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
+from granflow.engine import kept_states
 from granflow.engine.neighbor.cell_grid import build_grid_over
 from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.kernel_language import ti
 from granflow.observers.interval import on_interval
 from granflow.plan import capacities
+from granflow.plan import plan as plan_module
 from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
 
@@ -44,20 +46,27 @@ def run_and_sample(scene):
     return snapshots, simulation
 
 
+@pytest.fixture
+def separate_states(monkeypatch):
+    """No simulation takes arrays that an earlier one has left."""
+    monkeypatch.setattr(kept_states, "_kept", [])
+
+
 @pytest.mark.parametrize("chunk_size", [1, pytest.param(16, marks=pytest.mark.slow)])
-def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monkeypatch, chunk_size):
+def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monkeypatch, separate_states, chunk_size):
     scene = compressed_bed(chunk_size)
-    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
     reference, reference_run = run_and_sample(scene)
     assert reference_run.engine.timing.growth_count == 0
     assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
 
+    monkeypatch.setattr(kept_states, "_kept", [])
     monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 1))
+    monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
     monkeypatch.setattr(capacities, "SPARE", 1)
-    assert capacities.history_capacity(1) == 1
     grown, growing_run = run_and_sample(scene)
+    assert growing_run.plan.capacities.list_entries_per_chunk <= 2
     assert growing_run.engine.timing.growth_count > 0
-    assert growing_run.engine.state.neighbors.list_capacity_per_chunk < 40 * chunk_size
+    assert growing_run.engine.state.capacities.list_entries < reference_run.engine.state.capacities.list_entries
     assert len(grown) == len(reference)
     for one, other in zip(grown, reference, strict=True):
         assert one.totals == other.totals
@@ -67,17 +76,39 @@ def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monke
             np.testing.assert_array_equal(values, other.contacts[name])
 
 
+def test_batch_grows_for_a_particle_with_many_neighbors(taichi_f64, monkeypatch, separate_states):
+    """450 small particles press on a large one; a batch at first holds 392 candidate pairs of one particle."""
+    turn, height = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(450), 1.0 - (2.0 * np.arange(450) + 1.0) / 450
+    level = np.sqrt(1.0 - height**2)
+    directions = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
+    groups = {
+        "large": particle_group([[0.0, 0.0, 0.0]], 0.04),
+        "small": particle_group(0.021 * directions, 0.002, velocity=-0.1 * directions),
+    }
+    scene = build_scene(groups, pair={"friction": 0.4}, numerics={"chunk_size": 16}, run={"duration": 1e-4})
+    reference, _ = run_to_end(scene)
+    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(plan_module, "MIN_BATCH", 1)
+    grown, growing_run = run_to_end(scene)
+    assert growing_run.engine.timing.growth_count == 1
+    assert reference.particles["coordination_number"].max() == 450
+    for name in ARRAYS:
+        np.testing.assert_array_equal(grown.particles[name], reference.particles[name])
+
+
 @pytest.mark.slow
-def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkeypatch):
+def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkeypatch, separate_states):
     """The list capacity suffices, but the history capacity holds one entry per chunk."""
     scene = compressed_bed(16)
-    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 40 * plan.chunk_size))
-    reference, _ = run_and_sample(scene)
-    monkeypatch.setattr(capacities, "HISTORY_SHARE", 1 / 640)
+    reference, reference_run = run_and_sample(scene)
+    monkeypatch.setattr(kept_states, "_kept", [])
+    entries = reference_run.plan.capacities.list_entries_per_chunk
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", 1.01 / entries)
     monkeypatch.setattr(capacities, "SPARE", 0)
-    assert capacities.history_capacity(640) == 1
+    assert reference_run.plan.capacities.saved_entries_per_chunk == 1
     monkeypatch.setattr(
-        "granflow.engine.neighbor.rebuild.list_capacity_for", lambda saved: raise_history_share(monkeypatch, saved)
+        "granflow.engine.neighbor.rebuild.list_capacity_for",
+        lambda saved: raise_history_share(monkeypatch, saved, entries),
     )
     grown, growing_run = run_and_sample(scene)
     assert growing_run.engine.timing.growth_count > 0
@@ -85,10 +116,15 @@ def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkey
         np.testing.assert_array_equal(grown[-1].particles[name], reference[-1].particles[name])
 
 
-def raise_history_share(monkeypatch, saved):
+def raise_history_share(monkeypatch, saved, entries):
     """Keeps the list capacity and raises the history capacity to sixteen times the number of saved entries."""
-    monkeypatch.setattr(capacities, "HISTORY_SHARE", 16 * saved / 640)
-    return 640
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", 16.01 * saved / entries)
+    return 1
+
+
+@pytest.mark.parametrize(("needed", "expected"), [(0, 100), (100, 100), (101, 125), (126, 156), (1000, 1151)])
+def test_capacities_are_rounded_up_in_steps_of_a_quarter(needed, expected):
+    assert capacities.rounded_capacity(needed, 100) == expected
 
 
 def test_cell_grid_respects_the_cell_limit_for_any_extent(taichi_f64):

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import taichi as ti
 from geometry.meshes import cube, sheet, tube, write
 from resume.runs import last_state
 from scene_builders import build_scene, particle_group, plane
@@ -18,6 +17,7 @@ from granflow.engine.threads import workers
 from granflow.geometry.mesh.contact import reference_contact, triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
+from granflow.kernel_language import ti
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

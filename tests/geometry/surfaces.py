@@ -3,11 +3,11 @@
 from functools import cache
 
 import numpy as np
-import taichi as ti
 
 from granflow.geometry.plane import half_space, rectangle
 from granflow.geometry.revolved import cone, cylinder, disc
 from granflow.geometry.shape import PARAMETER_COUNT
+from granflow.kernel_language import ti
 
 NUMPY_TYPES = {ti.f64: np.float64, ti.f32: np.float32}
 

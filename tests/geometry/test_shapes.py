@@ -6,11 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-import taichi as ti
 from geometry.surfaces import SHAPES, on_device, points_around
 
 from granflow.geometry.plane import half_space, rectangle
 from granflow.geometry.revolved import cone, cylinder, disc
+from granflow.kernel_language import ti
 
 EPSILON = np.finfo(float).eps
 COORDINATE_SIZE = 4.0
@@ -118,7 +118,7 @@ def test_default_precision_does_not_narrow_results():
 
 
 IN_SINGLE_PRECISION = """
-import taichi as ti
+from granflow.kernel_language import ti
 ti.init(arch=ti.cpu, default_fp=ti.f32, fast_math=False)
 import numpy as np
 from geometry.surfaces import SHAPES, on_device, points_around

@@ -127,8 +127,10 @@ OVERRIDES = [
     ("stages.first.duration=3", "stages is a list of items 0 to 2, so the index first is invalid."),
     (
         "contact.normal.restitution_at=peak",
-        "contact.normal is zhou, which has no keys; set contact.normal as a whole.",
+        "contact.normal.restitution_at is peak, but it must be one of impact, max_overlap, constant. "
+        "Did you mean max_overlap?",
     ),
+    ("run.precision.bits=3", "run.precision is f64, which has no keys; set run.precision as a whole."),
     ("gravity=[0, 0", "the [ that opens here is not closed by ], or a comma is missing in it."),
     ("seed=!!python/name:os 3", "the tag !!python/name:os is not supported in scenes; remove it."),
     (

@@ -11,7 +11,7 @@ from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
 from granflow.observers.metrics.mixing import lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
-from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
+from granflow.observers.metrics.structure import anisotropy, center_of_mass, coordination, fabric_tensor, sliding_share
 from granflow.plan.build import plan_for
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
 
@@ -125,11 +125,36 @@ def test_fabric_of_known_directions():
 
 def test_mechanical_coordination_number_excludes_rattlers():
     """Six particles with 0, 1, 4, 4, 5 and 6 contacts: Zm = (20 - 1) / 4."""
-    result = coordination(np.array([0, 1, 4, 4, 5, 6]))
-    assert result == {
-        "coordination_number": pytest.approx(20 / 6), "mechanical_coordination_number": 19 / 4, "rattler_share": 2 / 6
+    contacts = np.array([0, 1, 4, 4, 5, 6])
+    assert coordination(contacts, np.zeros(6, int)) == {
+        "coordination_number": pytest.approx(20 / 6), "mechanical_coordination_number": 19 / 4,
+        "wall_coordination_number": 0.0, "rattler_share": pytest.approx(2 / 6),
     }  # fmt: skip
-    assert np.isnan(coordination(np.array([0, 1]))["mechanical_coordination_number"])
+    assert np.isnan(coordination(np.array([0, 1]), np.zeros(2, int))["mechanical_coordination_number"])
+
+
+def test_contacts_with_walls_are_counted_separately():
+    """A particle with one neighbor that rests on a wall carries a load; Zm counts its neighbor only."""
+    result = coordination(np.array([1, 2, 0]), np.array([1, 0, 1]))
+    assert result == {
+        "coordination_number": 1.0, "mechanical_coordination_number": 1.5, "wall_coordination_number": 2 / 3,
+        "rattler_share": pytest.approx(1 / 3),
+    }  # fmt: skip
+
+
+def test_center_of_mass_is_weighted_by_mass():
+    position = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
+    center = {"center_of_mass_x": 2.0, "center_of_mass_y": 0.0, "center_of_mass_z": 1.0}
+    assert center_of_mass(position, np.array([1.0, 2.0])) == pytest.approx(center)
+    assert np.isnan(list(center_of_mass(position[:0], np.zeros(0)).values())).all()
+
+
+def test_sliding_share_of_particles_and_of_walls():
+    contacts = {"wall": np.array([-1, -1, -1, 0, 0, 1]), "sliding": np.array([1, 0, 0, 1, 0, 1], np.uint8)}
+    assert sliding_share(contacts, None) == {"sliding_share": pytest.approx(1 / 3)}
+    assert sliding_share(contacts, [0]) == {"sliding_share": 0.5}
+    assert sliding_share(contacts, [0, 1]) == {"sliding_share": pytest.approx(2 / 3)}
+    assert np.isnan(sliding_share(contacts, [2])["sliding_share"])
 
 
 def scene_with(**metrics):
@@ -145,6 +170,8 @@ def test_scene_metrics_are_reported_by_name():
         **{name: {"kind": "lacey", "cell": 0.2, "region": region, name: of} for name, of in selections.items()},
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
+        center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
+        sliding={"kind": "sliding"},
     )  # fmt: skip
     kind = np.arange(5000) % 2
     particles = particles_of(
@@ -156,13 +183,15 @@ def test_scene_metrics_are_reported_by_name():
         meter.update(snapshot)
         assert tuple(meter.readings()) == METRIC_QUANTITIES_BY_KIND[scene.output.metrics[metric].kind]
         assert set(meter.result()) <= set(METRIC_QUANTITIES)
-        assert meter.wants == {"contacts" if metric == "contacts" else "particles"}
+        assert meter.wants == {"contacts" if metric in ("contacts", "sliding") else "particles"}
     meters = metric_meters(plan_for(scene))
     for meter in meters.values():
         meter.update(snapshot)
     values = [meters[name].readings()["lacey_index"] for name in selections]
     assert values[0] == values[1] == values[2] == pytest.approx(1.0, abs=0.02)
     assert meters["particles"].readings()["coordination_number"] == 3.0
+    red = center_of_mass(particles["position"][kind == 0], particles["mass"][kind == 0])
+    assert meters["red"].readings() == red != meters["center"].readings()
     inside = particles["position"][:, 0] <= 0.5
     volume = 4.0 / 3.0 * np.pi * (particles["radius"][inside] ** 3).sum()
     expected = [inside.sum(), particles["mass"][inside].sum(), volume]

@@ -8,6 +8,7 @@ import pytest
 from particles.scenes import UNIFORM, clearance, scene_with, smallest_gap
 
 from granflow.errors import SceneError
+from granflow.particles.group import groups_of
 from granflow.particles.insertion import Inserter, inserters
 
 REGION = {"cylinder": {"from": [0, 0, 0.4], "to": [0, 0, 0.46], "radius": 0.08}}
@@ -17,13 +18,8 @@ def rain_of(count=8000, rate=8000.0, start=0.0, diameter=UNIFORM, region=REGION,
     """The inserter of a group that rains into a region."""
     insertion = {"kind": "rain", "region": region, "rate": rate, "start": start}
     group = {"count": count, "diameter": diameter, "velocity": [0, 0, -0.5], "insert": insertion}
-    return Inserter(
-        scene_with(
-            {"still": {"diameter": 0.004, "insert": {"kind": "positions", "positions": [[0, 0, 0]]}}, "rain": group},
-            seed,
-        ),
-        "rain",
-    )
+    still = {"diameter": 0.004, "insert": {"kind": "positions", "positions": [[0, 0, 0]]}}
+    return Inserter(groups_of(scene_with({"still": still, "rain": group}, seed))["rain"])
 
 
 def falling_height(inserted_at, height, now):
@@ -153,7 +149,7 @@ def inserter_with(insertion, **group):
     """The inserter of a resolved scene, with glass particles of 2500 kg/m3."""
     given = {"diameter": UNIFORM, "insert": insertion} | group
     still = {"diameter": 0.004, "insert": {"kind": "positions", "positions": [[0, 0, 0]]}}
-    return Inserter(scene_with({"still": still, "stream": given}), "stream")
+    return Inserter(groups_of(scene_with({"still": still, "stream": given}))["stream"])
 
 
 def test_mass_flow_is_exact_within_one_particle():

@@ -1,6 +1,8 @@
 """A run that exceeds the free memory of machine and control groups is rejected before memory is allocated."""
 
+import os
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -88,6 +90,33 @@ def test_check_warns_and_places_no_particles_that_do_not_fit(machine, tmp_path, 
     output = capsys.readouterr()
     assert ("particles need about" in output.err) == warned
     assert ("was not checked" in output.out) == (available < 1.0)
+
+
+NVIDIA_SMI = """#!/bin/sh
+test "$1" = --id=3 && echo "{free}"
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a shell script stands for nvidia-smi")
+def test_run_on_a_gpu_that_does_not_fit_is_rejected(tmp_path, monkeypatch):
+    """nvidia-smi prints MiB; the GPU is the first in CUDA_VISIBLE_DEVICES."""
+    plan, program = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True), tmp_path / "nvidia-smi"
+    needed = memory_check.estimate_memory(plan, plan.precision).total
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,1")
+    for free, fits in ((needed // 2**20 + 1, True), (needed // 2**20 - 1, False)):
+        program.write_text(NVIDIA_SMI.format(free=free))
+        program.chmod(0o755)
+        with nullcontext() if fits else pytest.raises(SceneError, match=r"GB on the GPU, but only .* are free: lower"):
+            memory_check.refuse_without_device_memory(plan, "cuda")
+    program.unlink()
+    memory_check.refuse_without_device_memory(plan, "cuda")  # unknown
+
+
+def test_run_beyond_a_vulkan_buffer_is_rejected(tmp_path):
+    memory_check.refuse_without_device_memory(plan_for(load(lattice(tmp_path, 100_000)), on_gpu=True), "vulkan")
+    with pytest.raises(SceneError, match=r"but a Vulkan buffer has at most 4\.29 GB: lower the count to about "):
+        memory_check.refuse_without_device_memory(plan_for(load(lattice(tmp_path, 30_000_000)), on_gpu=True), "vulkan")
 
 
 def test_counts_above_the_id_limit_are_rejected_on_any_machine(tmp_path, capsys):

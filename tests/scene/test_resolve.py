@@ -9,6 +9,7 @@ from plan.scenes import TEXT
 from granflow.errors import SceneError
 from granflow.load import load, scene_of
 from granflow.particles.generate import initial_particles
+from granflow.particles.group import groups_of
 from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
 from granflow.plan.build import plan_for
@@ -76,11 +77,8 @@ def test_mass_is_exact_within_one_particle(tmp_path, sizes):
 
 def initial_radius(scene):
     """Radii [m] from the generator without positions, because the packing would be too dense."""
-    from granflow.particles.particle_data import random_for
-
-    return (
-        draw_diameters(scene.particles["beads"].sizes, scene.particles["beads"].count, random_for(scene, "beads")) / 2
-    )
+    beads = groups_of(scene)["beads"]
+    return draw_diameters(beads.spec.sizes, beads.spec.count, beads.random()) / 2
 
 
 def test_mass_with_too_many_particles_is_rejected(tmp_path):
@@ -98,9 +96,7 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     group = scene.particles["beads"]
     assert (group.count, group.insert.found.diameter_min, group.insert.found.diameter_max) == (3, 0.002, 0.004)
     assert group.insert.found.overlap_max == pytest.approx(0.25)
-    assert [sentence.replace(f"{tmp_path}/", "") for sentence in scene.remarks] == [
-        "particles.beads: one pair overlaps in start.csv, by up to 0.25 of the smaller radius (lines 2 and 3)."
-    ]
+    assert group.insert.found.overlap_rows == "lines 2 and 3"
     assert max_impact_velocity(scene).value == pytest.approx(10.0)
     assert plan_for(scene).radius_min == 0.001
     particles = initial_particles(scene)

@@ -1,17 +1,73 @@
-"""Suggestions for unknown and renamed keys."""
+"""Suggestions for names of other codes, and overrides whose path is the same in scenes and resolved scenes."""
+
+from pathlib import Path
 
 import pytest
+from plan.scenes import TEXT, scene_of
 
-from granflow.scene.suggest import RENAMED_KEYS, nearest, suggestion_or_list
+from granflow.contact import registry
+from granflow.errors import SceneError
+from granflow.load import Scene, load
+from granflow.scene.suggest import SYNONYMS, nearest
+
+SCENES = Path(__file__).parents[2] / "scenes"
 
 
-@pytest.mark.parametrize(("old", "new"), RENAMED_KEYS.items())
-def test_renamed_key_is_reported_with_its_new_name(old, new):
-    known = ["material", new, "diameter"]
-    assert nearest(old, known) == new
-    assert suggestion_or_list(old, known, "keys") == f"{old} was renamed to {new}."
+@pytest.mark.parametrize(
+    ("override", "suggestion"),
+    [
+        ("contact.normal=hertz-mindlin", "Did you mean hertz?"),
+        ("contact.tangential=hertz-mindlin", "Did you mean mindlin?"),
+        ("contact.cohesion=jkr", "jkr"),
+        ("contact.normal=hooke", "Did you mean linear?"),
+        ("particles.beads.insert={kind: random}", "Did you mean pack?"),
+        ("particles.beads.insert={kind: insert/stream}", "Did you mean inlet?"),
+        ("walls.floor.shape=fix wall/gran", "Did you mean plane?"),
+        ("materials.glass.youngsModulus=1e7", "Did you mean young_modulus?"),
+        ("pairs.glass-glass.coefficientFriction=0.5", "Did you mean friction?"),
+        ("run.dt=1e-5", "Did you mean time_step?"),
+        ("walls.floor.motion={kind: wiggle}", "Did you mean vibration?"),
+    ],
+)
+def test_names_of_other_codes_are_recognized(tmp_path, override, suggestion):
+    if override == "contact.cohesion=jkr" and "jkr" in registry.models("cohesion"):
+        pytest.skip("jkr is a model")
+    with pytest.raises(SceneError) as refused:
+        scene_of(tmp_path, override)
+    assert suggestion in str(refused.value)
 
 
-def test_renamed_key_is_not_suggested_if_its_new_name_is_unknown():
-    assert nearest("place", ["material", "diameter"]) is None
-    assert suggestion_or_list("place", ["material"], "keys") == "The keys are material"
+def test_top_level_command_of_another_code_is_recognized(tmp_path):
+    with pytest.raises(SceneError, match="Did you mean walls"):
+        scene_of(tmp_path, text=TEXT.replace("walls:\n", "fix wall/gran:\n"))
+
+
+def test_synonyms_are_in_the_form_in_which_they_are_searched():
+    assert all(word.isalnum() and word == word.lower() for word in SYNONYMS)
+    assert nearest("Fix wall/gran", ["walls", "pairs"]) == "walls" and nearest("fix_wall_gran", ["pairs"]) is None
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "walls.shell.motion.angular_velocity=2",
+        "walls.shell.motion.0.angular_velocity=2",
+        "contact.normal.damping_ratio=0.1",
+        "contact.normal=hertz",
+        "pairs.steel-glass.friction=0.2",
+        "run.duration=3 s",
+        "output.contacts=true",
+    ],
+)
+def test_overrides_have_the_same_path_in_a_scene_and_in_its_resolved_form(tmp_path, override):
+    """`granflow resume` applies overrides to scene_as_run.yaml."""
+    resolved = tmp_path / "scene_as_run.yaml"
+    resolved.write_text(load(SCENES / "drum.yaml").text())
+    first, second = (load(path, [override]) for path in (SCENES / "drum.yaml", resolved))
+    assert first.text() == second.text() != load(SCENES / "drum.yaml").text()
+    assert isinstance(first, Scene)
+
+
+def test_index_of_a_second_motion_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="angular_velocity"):
+        load(SCENES / "drum.yaml", ["walls.shell.motion.1.angular_velocity=2"])

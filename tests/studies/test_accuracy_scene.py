@@ -47,7 +47,7 @@ particles:
     count: 12
     diameter: 10 mm
     insert: {kind: pack, region: {box: {min: [-20 mm, -20 mm, 100 mm], max: [20 mm, 20 mm, 150 mm]}}}
-domain: {min: [-50 mm, -50 mm, -10 mm], max: [50 mm, 50 mm, 200 mm], on_exit: error}
+domain: {min: [-200 mm, -200 mm, -10 mm], max: [200 mm, 200 mm, 200 mm], on_exit: error}
 run: {duration: 0.25 s}
 output: {interval: 50 ms}
 """

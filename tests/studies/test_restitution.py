@@ -11,7 +11,7 @@ from subprocess_runner import in_subprocess
 from granflow.cli.main import main
 from granflow.load import load
 from granflow.plan.build import plan_for
-from granflow.studies.restitution import measure, name_of, pairings, warnings
+from granflow.studies.restitution import _impact, _reference_restitution, measure, name_of, pairings, warnings
 
 SCENES = Path(__file__).parents[2] / "scenes"
 STEEL = {"preset": "stainless_316"}
@@ -174,3 +174,23 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
         assert float(reached) == pytest.approx(max(numbers[2:4], key=lambda e: abs(e - 0.3)), abs=1e-5)
         assert float(percent) == pytest.approx(100.0 * (float(reached) / 0.3 - 1.0), abs=5e-3)
         assert bool(flag) == (abs(float(percent)) > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "restitution", "fraction", "largest"),
+    [
+        ("zhou", 0.5, 0.05, 0.25), ("zhou", 0.95, 0.05, 0.25), ("zhou", 0.95, 0.2, 0.32), ("zhou", 0.8, 0.3, 0.8),
+        ("hertz", 0.5, 0.05, 0.26), ("hertz", 0.5, 0.1, 1.1), ("hertz", 0.8, 0.05, 0.25), ("hertz", 0.8, 0.2, 1.7),
+        ({"law": "linear", "stiffness": "onset"}, 0.8, 0.05, 0.25),
+    ],
+)  # fmt: skip
+def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):
+    """docs/accuracy.md: largest deviation [%] of a collision over the phases of first touch, and not far below it."""
+    scene = build_scene(
+        {"beads": particle_group([[0, 0, 0.1], [0, 0, 0.2]])}, normal=law, pair={"restitution": restitution},
+        run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
+    )  # fmt: skip
+    plan = plan_for(scene)
+    impact = _impact(scene, plan, next(iter(pairings(scene, plan))), 1.0)
+    reached = [_reference_restitution(plan, impact, plan.time_step, phase) for phase in np.arange(16) / 16]
+    assert 100.0 * np.abs(np.array(reached) / restitution - 1.0).max() < largest

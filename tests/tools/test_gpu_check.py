@@ -25,7 +25,7 @@ def module(name):
 
 
 def test_missing_device_is_reported_in_one_sentence(tmp_path):
-    import taichi as ti
+    from granflow.kernel_language import ti
 
     if ti._lib.core.with_cuda():
         pytest.skip("CUDA is available")

@@ -1,4 +1,4 @@
-"""tools/beverloo.py, tools/scene_numbers.py and tools/scene_table.py: flows and beds with known results, and tables."""
+"""tools/scene_numbers.py and tools/scene_table.py: beds with known results, and tables."""
 
 import importlib
 from pathlib import Path
@@ -16,44 +16,6 @@ def tools_on_path(monkeypatch):
 
 def module(name):
     return importlib.import_module(name)
-
-
-def flow(hole, rate, error=1e-3):
-    return module("beverloo").Flow(hole, rate, error * rate, (rate, rate))
-
-
-@pytest.mark.parametrize("power", [1.5, 2.5, 3.0])
-def test_fit_recovers_the_exponent(power):
-    flows = [flow(hole, 3e-4 * (hole - 1.4 * 4) ** power) for hole in (18, 22, 27, 32)]
-    found, error = module("beverloo").exponent(flows)
-    assert found == pytest.approx(power, abs=1e-9)
-    # Errors of 0.1 % each over a spread of ln(D - k d) of 0.30 (standard deviation): 0.001 / (0.30 sqrt(4)) = 0.0017.
-    x = np.log([flow.hole - 5.6 for flow in flows])
-    assert error == pytest.approx(1e-3 / (x.std() * 2), rel=1e-6)
-
-
-def test_error_of_the_exponent_grows_with_scatter():
-    rates = [(hole - 5.6) ** 2.5 * (1 + 0.05 * (-1) ** i) for i, hole in enumerate((18, 22, 27, 32))]
-    flows = [flow(hole, rate) for hole, rate in zip((18, 22, 27, 32), rates, strict=True)]
-    assert module("beverloo").exponent(flows)[1] > 0.03
-
-
-def test_flow_is_the_mean_slope_in_total_and_in_each_half():
-    times = np.linspace(0.5, 1.5, 101)
-    steady = module("beverloo").flow_of(20, times, 0.08 * times)
-    assert steady.rate == pytest.approx(0.08) and steady.halves == pytest.approx((0.08, 0.08))
-    assert steady.error < 1e-12
-    # m = t^2 / 2 has the flow t: means of 0.75 and 1.25 in the halves of the time, 1 in total.
-    growing = module("beverloo").flow_of(20, times, times**2 / 2)
-    assert growing.rate == pytest.approx(1.0) and growing.halves == pytest.approx((0.75, 1.25))
-
-
-def test_overrides_set_all_orifice_diameters():
-    from granflow import load_scene
-
-    scene = load_scene(module("beverloo").SCENE, module("beverloo").overrides(28))
-    assert scene.walls["floor"].hole_radius == scene.walls["plug"].radius == scene.output.flow_meters["outlet"].radius
-    assert scene.walls["floor"].hole_radius == pytest.approx(0.014)
 
 
 def test_edge_of_a_single_layer_disc():
@@ -78,11 +40,11 @@ def test_quadrants_are_counted_in_the_plane_of_rotation():
     assert module("scene_numbers").quadrants(position).tolist() == [1, 2, 3, 1]
 
 
-# ---------------------------------------------------------------- tables of docs/scenes.md
+# ---------------------------------------------------------------- tables of docs/pages/scenes.md
 
 
 def test_tables_match_the_stored_numbers():
-    """If this fails, run `python tools/scene_table.py` and commit docs/scenes.md."""
+    """If this fails, run `python tools/scene_table.py` and commit docs/pages/scenes.md."""
     table = module("scene_table")
     page = table.PAGE.read_text(encoding="utf-8")
     assert page == table.written(page)

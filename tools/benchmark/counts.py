@@ -18,20 +18,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-MOTION_READ = (
-    "position",
-    "velocity",
-    "angular_velocity",
-    "mass",
-    "radius",
-    "force",
-    "torque",
-    "position_at_rebuild",
-    "reach",
-)
-MOTION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
-FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")
-FORCES_WRITTEN = ("force", "torque")
+from granflow.plan.roofline import FORCES_READ, FORCES_WRITTEN, INTEGRATION_READ, INTEGRATION_WRITTEN
+
 INTEGER = 4
 ROW_INTEGERS, SORT_INTEGERS = 3, 8
 
@@ -99,7 +87,7 @@ class BytesMoved:
 
 def load_of(state: Any, list_entries: int, touching: int) -> BytesMoved:
     """Sizes of the fields of a state."""
-    names = {*MOTION_READ, *MOTION_WRITTEN, *FORCES_READ, *FORCES_WRITTEN}
+    names = {*INTEGRATION_READ, *INTEGRATION_WRITTEN, *FORCES_READ, *FORCES_WRITTEN}
     particle_fields = {name: getattr(state.particles, name, None) for name in names}
     plan = state.plan
     return BytesMoved(
@@ -123,7 +111,7 @@ def bytes_of(load: BytesMoved) -> dict[str, float]:
     """Minimum bytes of one execution of each phase."""
     n, row = load.particles, ROW_INTEGERS * INTEGER
     return {
-        "motion": n * (load.size(MOTION_READ) + load.size(MOTION_WRITTEN)),
+        "motion": n * (load.size(INTEGRATION_READ) + load.size(INTEGRATION_WRITTEN)),
         "forces": n * (load.size(FORCES_READ) + 2 * load.size(FORCES_WRITTEN) + row)
         + load.list_entries * 2 * INTEGER
         + load.touching * 2 * load.history,

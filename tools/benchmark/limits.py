@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
+from granflow.kernel_language import ti
 
 IN_CACHE, IN_MEMORY = 1 << 18, 1 << 24
 """Length of each of three f64 arrays: 6 MiB and 384 MiB in total."""

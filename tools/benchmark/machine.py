@@ -21,7 +21,7 @@ def machine() -> dict[str, Any]:
         "memory": _memory(),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
-        "versions": {name: _version(name) for name in ("granflow", "taichi", "numpy")},
+        "versions": {name: _version(name) for name in ("granflow", "taichi", "quadrants", "numpy")},
         "commit": _git("rev-parse", "--short", "HEAD"),
         "changed": bool(_git("status", "--porcelain", "--untracked-files=no", "--", "granflow")),
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),

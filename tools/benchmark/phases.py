@@ -91,7 +91,7 @@ def neighbors_of(engine: Any) -> tuple[int, int]:
 def clear_profile() -> None:
     """Resets the kernel profiler."""
     if PROFILER in os.environ:
-        import taichi as ti
+        from granflow.kernel_language import ti
 
         ti.profiler.clear_kernel_profiler_info()
 
@@ -100,9 +100,9 @@ def profile(times: int) -> dict[str, float]:
     """Time [s] of each kernel since the last reset, by name, divided by `times`; empty without the profiler."""
     if PROFILER not in os.environ:
         return {}
-    from taichi.lang import impl
+    from granflow.kernel_language import ti
 
-    program = impl.get_runtime().prog
+    program = ti.lang.impl.get_runtime().prog
     program.sync_kernel_profiler()
     program.update_kernel_profiler()
     found: dict[str, float] = {}

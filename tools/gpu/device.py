@@ -61,8 +61,9 @@ def bandwidth(on_cpu: bool) -> dict[str, float]:
 
 def _gpu_bandwidth(count: int) -> dict[str, float]:
     """Bandwidth with coalesced access: neighboring threads access neighboring elements."""
-    import taichi as ti
     from benchmark import limits
+
+    from granflow.kernel_language import ti
 
     builder = ti.FieldsBuilder()
     a, b, c = (ti.field(ti.f32) for _ in range(3))

@@ -9,11 +9,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import CohesionLaw, ContactState
-from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)
@@ -24,10 +23,6 @@ class Sjkr(CohesionLaw):
     source = "SJKR as in LIGGGHTS, after Johnson, Kendall & Roberts 1971"
     limits = "no attraction before first touch or after separation; the contact area is that of undeformed spheres"
     constant_names = ("cohesion_energy_density",)
-
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Cohesion energy density [J/m3]."""
-        return (pair.options["cohesion_energy_density"],)
 
     @ti.func
     def attraction(self, constants, contact):

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import ti
 
 DAMPING_POWER = 0.25
 """Exponent of the overlap in the viscous force."""

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from functools import cache
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import HertzSpring
 from granflow.contact.options import Amount
+from granflow.contact.power import power
 from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import ti
 
 DAMPING_POWER = 0.5
 """Exponent of the overlap in the dissipative force."""
@@ -77,7 +78,7 @@ class KuwabaraKono(HertzSpring):
         k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
         elastic = k * ti.sqrt(contact.overlap) * contact.overlap
         overlap_at, weight = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
-        damping = constants.dissipation * k * ti.pow(contact.mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at)
+        damping = constants.dissipation * k * power(contact.mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at)
         viscous = ti.max(damping * contact.overlap_rate, -elastic)
         return elastic + viscous, viscous, history
 

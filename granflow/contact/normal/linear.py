@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
+from granflow.device_functions import ti
 
 _step_mean = build_step_mean(0.0)
 
@@ -38,6 +38,11 @@ class Linear(SpringLaw):
         return True
 
     @property
+    def parameters(self) -> Mapping[str, float]:
+        """Those of the spring."""
+        return self.spring.parameters
+
+    @property
     def history(self) -> tuple[HistoryField, ...]:
         """The stiffness, unless it is a number."""
         return self.spring_history
@@ -57,7 +62,7 @@ class Linear(SpringLaw):
 
         In the first step the dashpot acts for the time since first touch only.
         """
-        stiffness = self.stiffness_of(contact, history)
+        stiffness = self.stiffness_of(constants, contact, history)
         elastic = stiffness * contact.overlap
         _overlap_at, share = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
         damping = 2.0 * constants.damping_ratio * share * ti.sqrt(stiffness * contact.mass_eff)
@@ -67,7 +72,7 @@ class Linear(SpringLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy of the spring [J], K d^2 / 2."""
-        return 0.5 * self.stiffness_of(contact, history) * contact.overlap * contact.overlap
+        return 0.5 * self.stiffness_of(constants, contact, history) * contact.overlap * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force` in numpy."""

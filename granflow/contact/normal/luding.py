@@ -12,98 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.contact.device import ti
+from granflow.contact.collision import ClosedFormCollision
 from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.luding_collision import LudingCollision
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
-from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
-
-
-@dataclass(frozen=True)
-class LudingCollision:
-    """A binary collision in closed form.
-
-    stiffness:  k1 [N/m]
-    growth:     relative increase of k2 with the maximum overlap [1/m]
-    limit:      limit overlap [m]
-    tension:    kc / k1
-    mass_eff:   effective mass [kg]
-    velocity:   approach velocity [m/s]
-    """
-
-    stiffness: float
-    growth: float
-    limit: float
-    tension: float
-    mass_eff: float
-    velocity: float
-
-    @property
-    def overlap_max(self) -> float:
-        """Largest plastic overlap [m]."""
-        return min(self.velocity * math.sqrt(self.mass_eff / self.stiffness), self.limit)
-
-    @property
-    def unloading_stiffness(self) -> float:
-        """Slope k2 [N/m] after loading to `overlap_max`."""
-        return self.stiffness * (1.0 + self.growth * self.overlap_max)
-
-    @property
-    def overlap_in_tension(self) -> float:
-        """Overlap [m] at the intersection of unloading line and tension line: (k2 - k1) dmax / (k2 + kc)."""
-        unloading_stiffness_now = self.unloading_stiffness
-        return (
-            (unloading_stiffness_now - self.stiffness)
-            * self.overlap_max
-            / (unloading_stiffness_now + self.tension * self.stiffness)
-        )
-
-    @property
-    def elastic_energy(self) -> float:
-        """Energy [J] recovered by unloading before the force becomes tensile."""
-        largest = self.overlap_max
-        energy_lost = 0.5 * self.stiffness * largest**2 * (1.0 - self.stiffness / self.unloading_stiffness)
-        return 0.5 * self.mass_eff * self.velocity**2 - energy_lost
-
-    @property
-    def restitution(self) -> float:
-        """Restitution coefficient; 0 if the tension prevents separation."""
-        tension_force = self.tension * self.stiffness * self.overlap_in_tension
-        work = 0.5 * tension_force * self.overlap_in_tension + 0.5 * tension_force**2 / self.unloading_stiffness
-        return math.sqrt(max(2.0 * (self.elastic_energy - work) / self.mass_eff, 0.0)) / self.velocity
-
-    def durations(self) -> tuple[float, float]:
-        """Loading and unloading durations [s]. If the spheres do not separate, unloading ends at zero force."""
-        quarter = quarter_period(self.unloading_stiffness, self.mass_eff)
-        return self._loading_duration(), quarter + (self._tension_duration() if self.restitution > 0.0 else 0.0)
-
-    def _loading_duration(self) -> float:
-        """Loading duration [s]: a quarter period of k1, or the limit overlap with k1 and the rest with kp."""
-        omega = math.sqrt(self.stiffness / self.mass_eff)
-        if self.velocity <= omega * self.limit:
-            return 0.5 * math.pi / omega
-        stiffer = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        velocity_at_limit = math.sqrt(self.velocity**2 - (omega * self.limit) ** 2)
-        elastic = self.limit * self.stiffness / self.unloading_stiffness
-        return (
-            math.asin(omega * self.limit / self.velocity) / omega
-            + math.atan2(velocity_at_limit, stiffer * elastic) / stiffer
-        )
-
-    def _tension_duration(self) -> float:
-        """Time under tension [s]: first on the unloading line, then along -kc d."""
-        if self.tension == 0.0 or self.overlap_in_tension == 0.0:
-            return 0.0
-        omega = math.sqrt(self.unloading_stiffness / self.mass_eff)
-        stretch = self.tension * self.stiffness * self.overlap_in_tension / self.unloading_stiffness
-        velocity_at_zero = math.sqrt(2.0 * self.elastic_energy / self.mass_eff)
-        velocity_in_tension = math.sqrt(velocity_at_zero**2 - (omega * stretch) ** 2)
-        rate = math.sqrt(self.tension * self.stiffness / self.mass_eff)
-        return (
-            math.asin(omega * stretch / velocity_at_zero) / omega
-            + math.atanh(rate * self.overlap_in_tension / velocity_in_tension) / rate
-        )
+from granflow.contact.spring import STIFFNESS, Spring, SpringLaw
+from granflow.device_functions import ti
 
 
 @ti.func
@@ -120,7 +36,7 @@ def tension_overlap_max(growth, tension, overlap):
 
 
 @dataclass(frozen=True)
-class Luding(SpringLaw):
+class Luding(ClosedFormCollision, SpringLaw):
     """Luding's model with the loading spring k1. The restitution of a pair applies on the limit branch: kp = k1 / e^2.
 
     plasticity_depth:  ratio of the largest residual overlap to 2 R
@@ -150,6 +66,11 @@ class Luding(SpringLaw):
         return self.tension > 0.0
 
     @property
+    def parameters(self) -> Mapping[str, float]:
+        """Those of the spring, and the tension."""
+        return {**self.spring.parameters, "tension": self.tension}
+
+    @property
     def history(self) -> tuple[HistoryField, ...]:
         """Maximum overlap, plastic work with tension, and the stiffness unless it is a number."""
         work = (HistoryField("plastic_work", "plastic work", "J"),) if self.attracts else ()
@@ -170,11 +91,11 @@ class Luding(SpringLaw):
         return pair.modulus_eff, pair.shear_modulus_eff, growth, limit
 
     @ti.func
-    def tension_loss(self, growth, stiffness, largest, overlap):
+    def tension_loss(self, constants, growth, stiffness, largest, overlap):
         """Energy lost along -kc d from its intersection with the unloading line of `largest` to an overlap [J]."""
         energy_lost = 0.0 * stiffness
         if ti.static(self.attracts):
-            tension = ti.static(self.tension)
+            tension = constants.tension
             begin = growth * largest * largest / (1.0 + growth * largest + tension)
             elastic_change = tension * tension * (begin * begin / (1.0 + growth * largest))
             elastic_change -= (
@@ -188,19 +109,19 @@ class Luding(SpringLaw):
     def force(self, constants, contact, history):
         """F = max(k1 dmax - k2 (dmax - d), -kc d); dmax follows the overlap up to the limit."""
         history_new, overlap = history, contact.overlap
-        stiffness, growth = self.stiffness_of(contact, history), constants.growth / contact.radius_eff
+        stiffness, growth = self.stiffness_of(constants, contact, history), constants.growth / contact.radius_eff
         largest = ti.max(history.overlap_max, ti.min(overlap, constants.limit * contact.radius_eff))
         normal_force = stiffness * (largest + (1.0 + growth * largest) * (overlap - largest))
-        least = -self.tension * stiffness * overlap
+        least = -constants.tension * stiffness * overlap
         if ti.static(self.attracts):
             in_tension = normal_force < least
-            energy_lost = ti.select(in_tension, self.tension_loss(growth, stiffness, largest, overlap), 0.0)
+            energy_lost = ti.select(in_tension, self.tension_loss(constants, growth, stiffness, largest, overlap), 0.0)
             history_new.plastic_work += (
                 loading_loss(growth, stiffness, largest)
                 - loading_loss(growth, stiffness, history.overlap_max)
                 + energy_lost
             )
-            largest = ti.select(in_tension, tension_overlap_max(growth, self.tension, overlap), largest)
+            largest = ti.select(in_tension, tension_overlap_max(growth, constants.tension, overlap), largest)
         history_new.overlap_max = largest
         normal_force = ti.max(normal_force, least)
         return normal_force, 0.0 * normal_force, history_new
@@ -208,17 +129,17 @@ class Luding(SpringLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Elastic energy [J], F^2 / (2 k2)."""
-        stiffness, largest = self.stiffness_of(contact, history), history.overlap_max
+        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
         stiffness_ratio = 1.0 + constants.growth / contact.radius_eff * largest
         scaled_force = largest + stiffness_ratio * (contact.overlap - largest)
-        scaled_force = ti.max(scaled_force, -self.tension * contact.overlap)
+        scaled_force = ti.max(scaled_force, -constants.tension * contact.overlap)
         return 0.5 * stiffness * scaled_force * scaled_force / stiffness_ratio
 
     @ti.func
     def lost_energy(self, constants, contact, history):
         """Energy lost by loading and along the tension line [J]."""
-        stiffness, growth = self.stiffness_of(contact, history), constants.growth / contact.radius_eff
-        energy_lost = self.tension_loss(growth, stiffness, history.overlap_max, contact.overlap)
+        stiffness, growth = self.stiffness_of(constants, contact, history), constants.growth / contact.radius_eff
+        energy_lost = self.tension_loss(constants, growth, stiffness, history.overlap_max, contact.overlap)
         if ti.static(self.attracts):
             energy_lost += history.plastic_work
         else:
@@ -228,7 +149,7 @@ class Luding(SpringLaw):
     @ti.func
     def attraction(self, constants, contact, history):
         """Tension kc d, which the friction limit mu (F + kc d) excludes (Luding 2008)."""
-        return self.tension * self.stiffness_of(contact, history) * contact.overlap
+        return constants.tension * self.stiffness_of(constants, contact, history) * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force`, branch by branch with d0 = (1 - k1/k2) dmax as in the paper."""
@@ -256,20 +177,6 @@ class Luding(SpringLaw):
         _, _, growth, limit = self.pair_constants(pair)
         stiffness = self.loading_stiffness(pair, radius_eff, mass_eff, velocity)
         return LudingCollision(stiffness, growth / radius_eff, limit * radius_eff, self.tension, mass_eff, velocity)
-
-    def phase_durations(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> tuple[float, float]:
-        """Loading and unloading durations [s]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).durations()
-
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Slope k2 [N/m]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).unloading_stiffness
-
-    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Restitution; 0 if the tension prevents separation."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).restitution
 
 
 def _reference_loss(k1: float, growth: float, largest: float) -> float:

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.contact.device import ti
+from granflow.contact.collision import ClosedFormCollision
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount
+from granflow.device_functions import ti
 
 
 @ti.func
@@ -115,7 +116,7 @@ class ThorntonCollision:
         return math.sqrt(6.0 * math.sqrt(3.0) / 5.0 * (1.0 - w * w / 6.0)) * share**0.25
 
     @property
-    def unloading_tangent(self) -> float:
+    def unloading_stiffness(self) -> float:
         """Tangent stiffness at the start of unloading [N/m]."""
         return 1.5 * self.hertz * math.sqrt(self.overlap_max)
 
@@ -143,7 +144,7 @@ def _hertz_time(share: float) -> float:
 
 
 @dataclass(frozen=True)
-class Thornton(NormalLaw):
+class Thornton(ClosedFormCollision, NormalLaw):
     """Thornton's model; the contact pressure is limited to `yield_ratio` times the lower yield strength."""
 
     yield_ratio: float
@@ -236,20 +237,6 @@ class Thornton(NormalLaw):
     def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Maximum overlap [m], with yield."""
         return self.collision(pair, radius_eff, mass_eff, velocity).overlap_max
-
-    def phase_durations(
-        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
-    ) -> tuple[float, float]:
-        """Loading and unloading durations [s]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).durations()
-
-    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Tangent stiffness at the start of unloading [N/m]."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).unloading_tangent
-
-    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
-        """Restitution, which follows from the yield strength."""
-        return self.collision(pair, radius_eff, mass_eff, velocity).restitution
 
 
 MODEL = ContactModel(

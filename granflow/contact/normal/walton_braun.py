@@ -4,12 +4,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,12 @@ class WaltonBraun(SpringLaw):
         return self.reference_velocity is not None
 
     @property
+    def parameters(self) -> Mapping[str, float]:
+        """Those of the spring, and the reference velocity [m/s] if the restitution depends on velocity."""
+        velocity = {} if self.reference_velocity is None else {"reference_velocity": self.reference_velocity}
+        return {**self.spring.parameters, **velocity}
+
+    @property
     def history(self) -> tuple[HistoryField, ...]:
         """Maximum overlap, and the stiffness unless it is a number."""
         return HistoryField("overlap_max", "maximum overlap", "m", in_output=True), *self.spring_history
@@ -62,13 +68,13 @@ class WaltonBraun(SpringLaw):
         """Slope k2 [N/m]: k1 / e^2, or k1 (1 + (1/e^2 - 1) dmax sqrt(k1/M) / v_ref)."""
         excess = constants.loss_ratio
         if ti.static(self.velocity_dependent):
-            excess *= overlap_max * ti.sqrt(stiffness / contact.mass_eff) / self.reference_velocity
+            excess *= overlap_max * ti.sqrt(stiffness / contact.mass_eff) / constants.reference_velocity
         return stiffness * (1.0 + excess)
 
     @ti.func
     def force(self, constants, contact, history):
         """F = k1 d beyond the previous maximum overlap, max(k2 (d - d0), 0) below it [N]."""
-        history_new, stiffness = history, self.stiffness_of(contact, history)
+        history_new, stiffness = history, self.stiffness_of(constants, contact, history)
         largest = ti.max(contact.overlap, history.overlap_max)
         history_new.overlap_max = largest
         slope = self.unloading_slope(constants, contact, stiffness, largest)
@@ -78,7 +84,7 @@ class WaltonBraun(SpringLaw):
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy recovered by unloading [J], F^2 / (2 k2)."""
-        stiffness, largest = self.stiffness_of(contact, history), history.overlap_max
+        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
         slope = self.unloading_slope(constants, contact, stiffness, largest)
         force = ti.max(stiffness * largest - slope * (largest - contact.overlap), 0.0)
         return 0.5 * force * force / slope
@@ -86,7 +92,7 @@ class WaltonBraun(SpringLaw):
     @ti.func
     def lost_energy(self, constants, contact, history):
         """Work of loading minus recoverable energy at the maximum overlap [J], k1 dmax^2 (1 - k1/k2) / 2."""
-        stiffness, largest = self.stiffness_of(contact, history), history.overlap_max
+        stiffness, largest = self.stiffness_of(constants, contact, history), history.overlap_max
         slope = self.unloading_slope(constants, contact, stiffness, largest)
         return 0.5 * stiffness * largest * largest * (1.0 - stiffness / slope)
 

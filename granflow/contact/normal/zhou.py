@@ -1,7 +1,7 @@
 """Hertz elastic loading, nonlinear plastic unloading (Zhou 2011): the primary contact model of granflow.
 
-This file defines the whole model: pair constants, history, device functions and reference implementation. Reloading
-follows the unloading curve up to the previous maximum overlap, then the Hertz curve, so that the force is continuous:
+This file defines the model: pair constants, history, device functions and reference implementation. Reloading follows
+the unloading curve up to the previous maximum overlap, then the Hertz curve, so that the force is continuous:
 F = min(k d^1.5, unloading curve for dmax).
 """
 
@@ -14,19 +14,25 @@ from typing import Literal
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.device import ti
 from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
 from granflow.contact.substep_corrections import (
     build_step_mean,
-    mean_above,
     reference_mean_above,
     reference_step_mean,
     reference_turning_point,
     turning_point,
 )
+from granflow.contact.zhou_unloading import (
+    least_restitution,
+    recovery_of,
+    restitution_at,
+    unloading_energy,
+    unloading_force,
+)
+from granflow.device_functions import ti
 
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
 
@@ -34,81 +40,9 @@ LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 DAMPING_POWER = 0.25
 """Exponent of the overlap in the viscous force."""
-NEWTON_STEPS = 5
-"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""
 
 
 _step_mean = build_step_mean(DAMPING_POWER)
-
-
-@ti.func
-def restitution_at(constants, velocity):
-    """Restitution coefficient at an approach velocity [m/s] (Zhou 2011, Eq. 12).
-
-        e(v) = exp(-sigma (v / (vlim - v))^psi)      v < vlim, else 0
-
-    A pair with a constant restitution has the limit velocity 0.
-    """
-    limit = constants.limit_velocity
-    e = constants.restitution
-    if limit > 0.0:
-        e = 0.0
-        if velocity <= 0.0:
-            e = 1.0
-        elif velocity < limit:
-            e = ti.exp(-constants.sigma * ti.pow(velocity / (limit - velocity), constants.psi))
-    return e
-
-
-@ti.func
-def recovery_of(e):
-    """Recovered fraction y of the maximum overlap (Zhou 2011, Eq. 8), by NEWTON_STEPS Newton iterations.
-
-    y = (4/5) e^2 + (1/5) e^3 y^2.5
-    """
-    first = 0.8 * e * e
-    share = 0.2 * e * e * e
-    y = first
-    for _ in ti.static(range(NEWTON_STEPS)):
-        root = y * ti.sqrt(y)
-        y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
-    return y
-
-
-@ti.func
-def least_restitution(k, mass, overlap_max, time_step, angle):
-    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2; not from the paper.
-
-    Device form of `theory.least_restitution`.
-    """
-    return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
-
-
-@ti.func
-def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
-    """Force on the unloading branch [N], zero below the residual overlap.
-
-        F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
-
-    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the particles may
-    separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
-    """
-    above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
-    cube = e * e * e
-    slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-    return stiffness * above * (slope + cube * ti.sqrt(radius * above))
-
-
-@ti.func
-def unloading_energy(k, overlap_max, e, y, overlap):
-    """Energy recovered by unloading from an overlap [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
-    energy = 0.0 * k
-    above = overlap - overlap_max * (1.0 - y)
-    if above > 0.0:
-        cube = e * e * e
-        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-        energy = k * above * above * (0.5 * slope + 0.4 * cube * ti.sqrt(above))
-    return energy
 
 
 @dataclass(frozen=True)
@@ -141,6 +75,12 @@ class Zhou(NormalLaw):
         fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
         restitution_at: RestitutionAt = request.options["restitution_at"] if fitted else "constant"
         return cls(restitution_at, request.unloading_angle, request.options["damping_ratio"])
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Bound on the unloading tangent, and the damping ratio if there is a viscous force."""
+        damping = {"damping_ratio": self.damping_ratio} if self.rate_dependent else {}
+        return {"unloading_angle": self.angle, **damping}
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -187,7 +127,7 @@ class Zhou(NormalLaw):
         if y == 0.0:
             if ti.static(self.restitution_at == "max_overlap"):
                 e = restitution_at(constants, ti.sqrt(0.8 * k * largest**2 * ti.sqrt(largest) / mass))
-            least = least_restitution(k, mass, largest, contact.time_step, self.angle)
+            least = least_restitution(k, mass, largest, contact.time_step, constants.unloading_angle)
             e = ti.max(e, ti.min(least, 1.0))
             y = recovery_of(e)
         return e, y
@@ -203,7 +143,7 @@ class Zhou(NormalLaw):
             largest, mass = history_new.overlap_max, contact.mass_eff
             largest_force = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * largest) * largest
             overlap_rate_half = contact.overlap_rate
-            if ti.static(self.damping_ratio > 0.0):  # `overlap_rate` is at the time level, not half a step later
+            if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, not half a step later
                 overlap_rate_half += 0.5 * contact.time_step * largest_force / mass
             history_new.overlap_max = turning_point(largest, largest_force, mass, contact.time_step, overlap_rate_half)
             e, y = self.unloading_parameters(constants, contact, history_new)
@@ -224,10 +164,10 @@ class Zhou(NormalLaw):
         )
         normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
         viscous = 0.0 * stiffness
-        if ti.static(self.damping_ratio > 0.0):
+        if ti.static(self.rate_dependent):
             overlap_at, weight = _step_mean(overlap, rate, time_step)
             tangent = 1.5 * stiffness * ti.sqrt(radius * overlap_at)
-            viscous = 2.0 * self.damping_ratio * weight * ti.sqrt(tangent * contact.mass_eff) * rate
+            viscous = 2.0 * constants.damping_ratio * weight * ti.sqrt(tangent * contact.mass_eff) * rate
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
         history_new = history
         history_new.overlap_max = ti.max(overlap, overlap_max)

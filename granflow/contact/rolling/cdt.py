@@ -1,102 +1,34 @@
 """Constant directional torque (CDT): a rolling torque of constant magnitude against the rolling rate.
 
-CDT is discontinuous at zero rate, so at small rates it is replaced by a viscous torque: a contact removes at most
-`STOPPED_SHARE` of the relative rate per step. A particle with moment of inertia I_i receives I_j / (I_i + I_j) of that
-from each neighbor j, 1 from each wall. For non-overlapping spheres of any size around one sphere the sum is below 8
-(the largest sum is 7.5, for twelve neighbors 1.11 times as large). The rate after the step is then a mean of the rates
-of the particle and its neighbors: no rotation reverses, and rotation relative to the neighbors decays, for any number
-of simultaneous contacts.
+CDT is discontinuous at zero rate; at small rates the bound of `bounded_torque` makes it a viscous torque.
 """
 
 from dataclasses import dataclass
 
-from granflow.contact.device import ti
-from granflow.contact.law import HistoryField, ModelRequest, RollingLaw
-from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
-
-STOPPED_SHARE = 0.125
-"""Largest fraction of the relative rolling rate that one contact removes in one step."""
-
-
-@ti.func
-def directional_torque(radius_eff, rolling_friction, normal_force, rolling_rate, inertia_eff, time_step):
-    """CDT [N m]: mu_r R F against the rolling rate w [rad/s], viscous below the rate at which both are equal.
-
-        T = -min(mu_r R F / |w|, I / (8 dt)) w        (Ai et al. 2011, model A, with the bound above)
-
-    radius_eff:        effective radius R [m]
-    rolling_friction:  mu_r [-]
-    normal_force:      F [N]
-    rolling_rate:      w, 3-vector
-    inertia_eff:       effective moment of inertia I [kg m2]
-    time_step:         dt [s], the longest of the run, so that a force evaluation between two steps has the same limit
-    """
-    rate = ti.sqrt(rolling_rate.dot(rolling_rate))
-    size = ti.min(rolling_friction * radius_eff * normal_force, STOPPED_SHARE * inertia_eff * rate / time_step)
-    return ti.select(rate > 0.0, -size / rate, 0.0) * rolling_rate
-
-
-@ti.func
-def torque_loss(torque_before, torque, rolling_rate, time_step):
-    """Energy dissipated by a torque during one step [J]; exact for the leapfrog scheme, for any other torques.
-
-        W = -(T(t - dt) + T(t)) / 2 . w(t - dt/2) dt
-
-    torque_before, torque:  T of the previous and of this step [N m]
-    rolling_rate:           relative angular velocity w at the half step [rad/s]
-
-    Each kick changes the kinetic energy by the torque times the mean of the rates before and after. In the sum over all
-    steps each half-step rate is multiplied by half of the torque before and half of the torque after it.
-    """
-    return -0.5 * time_step * (torque_before + torque).dot(rolling_rate)
+from granflow.contact.rolling.bounded_torque import BoundedTorque
+from granflow.contact.surface_law import SurfaceState
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)
-class Cdt(RollingLaw):
-    """Constant directional torque.
-
-    energy_budget:  whether the torque is saved for the dissipated energy
-    """
-
-    energy_budget: bool
+class Cdt(BoundedTorque):
+    """T = mu_r R F against the rolling rate (Ai et al. 2011, model A)."""
 
     name = "cdt"
     source = "Ai et al. 2011, Powder Technol. 206:269, model A"
     limits = "no torque at rest: a particle on a slope rolls, however slowly"
     constant_names = ("rolling_friction",)
 
-    @classmethod
-    def from_scene(cls, request: ModelRequest) -> "Cdt":
-        """The law that a scene requests."""
-        return cls(request.energy_budget)
-
-    @property
-    def history(self) -> tuple[HistoryField, ...]:
-        """Torque of the previous step, with the energy budget."""
-        return (HistoryField("torque", "rolling torque", "N m", size=3),) if self.energy_budget else ()
-
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Coefficient of rolling friction."""
-        return (pair.options["rolling_friction"],)
-
     @ti.func
-    def torque(self, constants, contact, history):
-        """Torque [N m] against the tangential rolling rate."""
-        rate, history_new, energy_lost = contact.rolling_rate, history, 0.0 * contact.stiffness
-        torque = directional_torque(
-            contact.radius_eff,
-            constants.rolling_friction,
-            contact.normal_load,
-            rate - rate.dot(contact.normal) * contact.normal,
-            contact.inertia_eff,
-            contact.longest_time_step,
-        )
-        if ti.static(self.energy_budget):
-            energy_lost = torque_loss(history.torque, torque, rate, contact.time_step)
-            history_new.torque = torque
-        return torque, history_new, energy_lost
+    def torque_size(self, constants, contact, speed):
+        """mu_r R F [N m]."""
+        return constants.rolling_friction * contact.radius_eff * contact.normal_load
+
+    def reference_size(self, contact: SurfaceState, speed: float) -> float:
+        """mu_r R F [N m]."""
+        return float(contact.constants.rolling_friction * contact.radius_eff * contact.normal_load)
 
 
 MODEL = ContactModel(Cdt, "constant directional torque", pair_options=(ROLLING_FRICTION,))

@@ -3,14 +3,24 @@
 The rolling stiffness is k_t R^2 (Wensrich & Katterfeld 2012), the limit mu_r R F.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
-from granflow.contact.device import ti
-from granflow.contact.law import HistoryField, RollingLaw
-from granflow.contact.material import PairMaterial
+import numpy as np
+
+from granflow.contact.law import HistoryField
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
-from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
+from granflow.contact.surface_law import RollingLaw, SurfaceState
+from granflow.contact.tangential.spring import (
+    elastic_plastic_spring,
+    reference_rotation,
+    reference_spring,
+    rotated_displacement,
+    spring_loss,
+)
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)
@@ -20,20 +30,21 @@ class Epsd(RollingLaw):
     name = "epsd"
     source = "Ai et al. 2011, Powder Technol. 206:269, model C; Wensrich & Katterfeld 2012, Powder Technol. 217:409"
     limits = "the rolling stiffness is an assumption; without damping a particle at rest can oscillate about its spring"
-    constant_names = ("rolling_friction",)
+    constant_names: ClassVar[tuple[str, ...]] = ("rolling_friction",)
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
         """Elastic rolling displacement."""
         return (HistoryField("angle", "rolling displacement", "rad", size=3),)
 
-    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
-        """Coefficient of rolling friction."""
-        return (pair.options["rolling_friction"],)
-
     @ti.func
     def torque(self, constants, contact, history):
-        """Spring torque [N m] after the rotation of this step, limited to mu_r R F."""
+        """Spring torque [N m]."""
+        return self.spring_torque(constants, contact, history)
+
+    @ti.func
+    def spring_torque(self, constants, contact, history):
+        """Spring torque [N m] after the rotation of this step, limited to mu_r R F, its history and loss."""
         history_new, ratio, rate = history, contact.stiffness_ratio, contact.rolling_rate
         rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
         step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)
@@ -43,6 +54,18 @@ class Epsd(RollingLaw):
         energy_lost = spring_loss(spring, ratio, rotated, step, torque, angle)
         history_new.angle = angle
         return torque, history_new, energy_lost
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque` in numpy."""
+        tangential_rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
+        torque, angle = reference_spring(
+            contact.stiffness * contact.radius_eff**2,
+            contact.stiffness_ratio,
+            contact.constants.rolling_friction * contact.radius_eff * contact.normal_load,
+            reference_rotation(contact.history.angle, contact.normal, contact.normal_half),
+            contact.time_step * tangential_rate,
+        )
+        return torque, {"angle": angle}
 
     @ti.func
     def stored_energy(self, constants, contact, history):

@@ -1,13 +1,24 @@
 """Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from granflow.contact.device import ti
-from granflow.contact.law import HistoryField, TangentialLaw
+import numpy as np
+
+from granflow.contact.law import HistoryField
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import FRICTION
-from granflow.contact.tangential.spring import elastic_plastic_spring, rotated_displacement, spring_loss
+from granflow.contact.surface_law import SurfaceState, TangentialLaw
+from granflow.contact.tangential.spring import (
+    elastic_plastic_spring,
+    reference_rotation,
+    reference_spring,
+    rotated_displacement,
+    spring_loss,
+)
+from granflow.device_functions import ti
 
 
 @dataclass(frozen=True)
@@ -44,6 +55,17 @@ class Mindlin(TangentialLaw):
         energy_lost = spring_loss(stiffness, ratio, rotated, contact.slip, force, displacement)
         history_new.displacement = displacement
         return force, history_new, energy_lost
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `force` in numpy."""
+        force, displacement = reference_spring(
+            contact.stiffness,
+            contact.stiffness_ratio,
+            contact.constants.friction * contact.normal_load,
+            reference_rotation(contact.history.displacement, contact.normal, contact.normal_half),
+            contact.slip,
+        )
+        return force, {"displacement": displacement}
 
     @ti.func
     def present_force(self, constants, contact, history):

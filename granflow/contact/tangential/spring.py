@@ -7,7 +7,7 @@ Cummins & Cleary 2013). The spring therefore never generates energy.
 
 import numpy as np
 
-from granflow.contact.device import ti
+from granflow.device_functions import ti
 
 
 @ti.func
@@ -63,3 +63,8 @@ def reference_spring(
     size = stiffness * float(np.sqrt(trial @ trial))
     displacement_new = trial if size <= cap else trial * (cap / size)
     return -stiffness * displacement_new, displacement_new
+
+
+def reference_rotation(displacement: np.ndarray, normal: np.ndarray, normal_middle: np.ndarray) -> np.ndarray:
+    """Reference implementation of `rotated_displacement` in numpy, with vectors (3,)."""
+    return displacement - np.vdot(displacement, normal) * normal_middle

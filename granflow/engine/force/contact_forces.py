@@ -7,8 +7,6 @@ chunk.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.exact_sums import (
     build_list_shares,
     build_set_forces,
@@ -17,15 +15,15 @@ from granflow.engine.exact_sums import (
     sum_type,
     to_units,
 )
+from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
     build_boundary_work,
     build_effective,
+    build_pair_constants,
     build_pair_kinematics,
-    build_pair_number,
 )
 from granflow.engine.force.simd_pair_force import build_batched_forces
-from granflow.engine.force.structs import build_constants
 from granflow.engine.force.wall_forces import build_add_impulse
 from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import (
@@ -43,6 +41,7 @@ from granflow.engine.neighbor.mesh_contact_history import (
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING, WALL_WORK
 from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
@@ -52,50 +51,79 @@ def build_contact(state: State, with_wall: bool) -> Any:
 
     with_wall:  True for walls (j < 0), False for particles
 
-    Without overlap it ends the contact and clears its history; its plastic work is added to the losses.
+    Without overlap, or beyond the range of a model that acts at a distance, it ends the contact and clears its history;
+    its plastic work is added to the losses.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
     Writes:  history, in_contact, losses, boundary_work, impulses, wall_force, abort, abort_particle
     """
-    control, transfers = state.control, with_wall and transfers_history(state)
+    transfers = with_wall and transfers_history(state)
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    constants_of, pair_number = build_constants(state.plan.laws), build_pair_number(state)
     angular_velocities_of, check_overlap = (
         _build_angular_velocities(state, with_wall),
         _build_check_overlap(state, with_wall),
     )
+    pair_constants, in_range = build_pair_constants(state), build_in_range(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
+    distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
     release_history, acquire_history = (
         (build_release_history(state), build_acquire_history(state)) if transfers else (None, None)
     )
     read_history, write_history = build_read_history(state), build_write_history(state)
     pair_force, add_to_accounting = build_pair_force(state.plan, False), _build_add_to_accounting(state, with_wall)
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    longest_time_step = state.parameter("longest_time_step")
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
         force, torque = 0.0 * state.particles.velocity[i], 0.0 * state.particles.velocity[i]
         kinematics, bodies = pair_kinematics(i, j, pose, dt), effective(i, j)
-        constants = constants_of(control.pair_constants[pair_number(i, j)])
+        constants = pair_constants(i, j)
         if kinematics.overlap > 0.0:
             check_overlap(i, j, kinematics.overlap)
             if ti.static(transfers):
                 acquire_history(i, list_index, j, pose)
-            found = pair_force(
-                constants, bodies, kinematics, angular_velocities_of(i, j, pose), read_history(list_index), dt
-            )
+            angular_velocities, history = angular_velocities_of(i, j, pose), read_history(list_index)
+            found = pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step())
             force, torque = found.force, found.torque
             write_history(list_index, found.history)
             add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        elif in_range(i, j, kinematics.overlap):
+            if ti.static(acts_at_distance):
+                force = distant_contact(chunk, i, list_index, j, pose, kinematics, dt)
         else:
             energy_lost, released = 0.0 * dt, 0
             if ti.static(transfers):
                 released = release_history(i, list_index, j, pose)
             if released == 0:
                 energy_lost = end_contact(list_index, constants, bodies, dt)
-            add_plastic_loss(chunk, i, j, energy_lost)
+            add_plastic_loss(chunk, j, energy_lost)
         return force, torque
 
     return contact
+
+
+def _build_distant_contact(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, pose, kinematics, time_step): force [N] on i of a separated pair.
+
+    Reads:   as `build_contact`
+    Writes:  as `build_contact`
+    """
+    distant_force, transfers = build_distant_force(state, with_wall), with_wall and transfers_history(state)
+    acquire_history = build_acquire_history(state) if transfers else None
+    add_to_accounting = _build_add_to_accounting(state, with_wall)
+
+    @ti.func
+    def distant_contact(chunk, i, list_index, j, pose, kinematics, dt):
+        if ti.static(transfers):
+            acquire_history(i, list_index, j, pose)
+        attraction = distant_force(chunk, i, list_index, j, kinematics.overlap, dt)
+        nothing, force = 0.0 * attraction, -attraction * kinematics.normal
+        found = ti.Struct(force=force, torque=0.0 * force, losses=ti.Vector([nothing, nothing, nothing]))
+        add_to_accounting(chunk, i, j, pose, kinematics.normal, found, dt)
+        return force
+
+    return distant_contact
 
 
 def _build_angular_velocities(state: State, with_wall: bool) -> Any:
@@ -126,14 +154,14 @@ def _build_check_overlap(state: State, with_wall: bool) -> Any:
     Reads:   radius
     Writes:  abort, abort_particle
     """
-    particles, control, max_overlap = state.particles, state.control, state.plan.max_overlap
+    particles, control, max_overlap = state.particles, state.control, state.parameter("max_overlap")
 
     @ti.func
     def check_overlap(i, j, overlap):
         radius_min = particles.radius[i]
         if ti.static(not with_wall):
             radius_min = ti.min(radius_min, particles.radius[j])
-        if overlap > max_overlap * radius_min:
+        if overlap > max_overlap() * radius_min:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
@@ -147,6 +175,7 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     """
     features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
     control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
+    per_unit = state.parameter("per_unit")
     measured = with_wall and features.wall_forces
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
@@ -154,16 +183,16 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def add_losses(chunk, shares, found, work):
-        losses, per_unit = control.losses[chunk], control.per_unit[0][ENERGY]
+        losses, per_joule = control.losses[chunk], per_unit()[ENERGY]
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            losses[loss] += shares * to_units(per_unit * found.losses[k])
-        losses[WALL_WORK] += shares * to_units(per_unit * work)
+            losses[loss] += shares * to_units(per_joule * found.losses[k])
+        losses[WALL_WORK] += shares * to_units(per_joule * work)
         control.losses[chunk] = losses
 
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            add_losses(chunk, list_shares(i, j), found, wall_work(i, j, pose, found, dt))
+            add_losses(chunk, list_shares(chunk, j), found, wall_work(i, j, pose, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
@@ -225,10 +254,10 @@ def build_forces(state: State) -> Any:
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
     plan, neighbors = state.plan, state.neighbors
-    features, chunk_size = plan.features, plan.chunk_size
-    batch, control, to_grid = state.batch, state.control, build_to_grid(state.backend.real)
+    features, real, chunk_size = plan.features, state.backend.real, state.parameter("chunk_size")
+    gravity, shift = state.parameter("gravity"), state.parameter("shift")
+    batch, to_grid, sum_real = state.batch, build_to_grid(real), sum_type(state.backend)
     batched, set_forces, carry_sums = batch is not None, build_set_forces(state), _build_carry_sums(state)
-    sum_real = sum_type(state.backend)
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -238,7 +267,7 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def add_contact(force, torque, force_sum, torque_sum):
-        force_added, torque_added = to_grid(force, control.shift[0][FORCE]), to_grid(torque, control.shift[0][TORQUE])
+        force_added, torque_added = to_grid(force, shift()[FORCE]), to_grid(torque, shift()[TORQUE])
         return force_sum + ti.cast(force_added, sum_real), torque_sum + ti.cast(torque_added, sum_real)
 
     @ti.func
@@ -259,7 +288,8 @@ def build_forces(state: State) -> Any:
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
-        first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)
+        size, acceleration = chunk_size(), ti.cast(gravity(), real)
+        first, last = chunk * size, ti.min((chunk + 1) * size, count)
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, last):
@@ -270,7 +300,7 @@ def build_forces(state: State) -> Any:
                     if ti.static(features.rotation):
                         batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
             else:
-                set_forces(i, force_sum, torque_sum)
+                set_forces(i, force_sum, torque_sum, acceleration)
         if ti.static(batched):
             batched_forces(worker, chunk, first, last, pose, dt)
             for i in range(first, last):
@@ -278,7 +308,7 @@ def build_forces(state: State) -> Any:
                 torque_sum = ti.Vector.zero(sum_real, 3)
                 if ti.static(features.rotation):
                     torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
-                set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum)
+                set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum, acceleration)
         carry_sums(chunk)
 
     return forces

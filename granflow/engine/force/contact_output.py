@@ -1,19 +1,19 @@
 """Contact output: one record per contact. Its arrays exist only if the scene requests contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
+from granflow.engine.host_copy import FieldTable
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
+from granflow.kernel_language import ti
 
 AT_LIMIT = 1.0 - 1e-6
 """Share of the Coulomb limit above which a contact counts as sliding."""
@@ -24,12 +24,22 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
     """
-    neighbors = state.neighbors
-    begin, end = (f.to_numpy()[: state.count] for f in (neighbors.list_begin, neighbors.list_end))
+    rows = state.built(_row_table).take(np.arange(state.count))
+    begin, end = rows["begin"], rows["end"]
     owner = np.repeat(np.arange(state.count), end - begin)
     first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
     list_index = (first + np.arange(len(owner))).astype(np.int64)
-    return owner, list_index, neighbors.partner.to_numpy()[list_index].astype(np.int64)
+    return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
+
+
+def _row_table(state: State) -> FieldTable:
+    """Table of the bounds of all lists."""
+    return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
+
+
+def _partner_table(state: State) -> FieldTable:
+    """Table of the partners of all list entries."""
+    return FieldTable({"partner": state.neighbors.partner})
 
 
 class ContactOutput:
@@ -37,30 +47,32 @@ class ContactOutput:
 
     def __init__(self, state: State) -> None:
         self.state, self.block = state, FieldBlock()
-        self.capacity = state.neighbors.capacity
+        self.capacity = state.capacities.list_entries
         real = state.backend.real
         self.numbers = self.block.vector(real, self.capacity, count=len(QUANTITIES))
         self.force = self.block.vector(real, self.capacity)
         self.contact_point = self.block.vector(state.backend.position_real, self.capacity)
         self.block.finish()
+        recorded = {"numbers": self.numbers, "force": self.force, "contact_point": self.contact_point}
+        self._table = FieldTable(recorded | state.neighbors.history)
         self._evaluate = _build_evaluate(state, self)
 
-    def take(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def take(self, arrays: dict[str, np.ndarray], pose: int) -> dict[str, np.ndarray]:
         """All contacts, each once, as in Snapshot.contacts, with n entries or (n, 3) arrays.
 
         arrays:   id (particles,) and position (particles, 3) [m] in device order
+        pose:     index of the wall poses at the present time, see `Stepper.place_walls`
         Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history
         """
-        owner, list_index, partner, numbers = self._pairs()
-        found = dict(zip(QUANTITIES, numbers.T, strict=True))
-        normal_history = self._history(list_index, found["overlap"])
+        owner, partner, entries = self._pairs(pose)
+        found = dict(zip(QUANTITIES, entries["numbers"].T.astype(float), strict=True))
+        normal_history = self._history(entries, found["overlap"])
         loading = found["overlap"] >= normal_history["overlap_max"]
         other = np.maximum(partner, 0)
         with_wall = partner < 0
         wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
         wall[with_wall] = walls_of(self.state, partner[with_wall])
         triangle[with_wall] = triangles_of(self.state, partner[with_wall])
-        contact_point, force = self.contact_point.to_numpy()[list_index], self.force.to_numpy()[list_index]
         friction_limit, first = found.pop("friction_limit"), arrays["position"][owner]
         second = self.state.plan.periodic_box.at(self.state.clock.time).nearest_images(arrays["position"][other], first)
         return (
@@ -72,8 +84,8 @@ class ContactOutput:
                 "wall": wall,
                 "triangle": triangle,
                 "position_i": first,
-                "position_j": np.where(with_wall[:, None], contact_point, second),
-                "force": force.astype(float),
+                "position_j": np.where(with_wall[:, None], entries["contact_point"], second),
+                "force": entries["force"].astype(float),
                 "unloading": np.where(loading, 0, 1).astype(np.uint8),
                 "sliding": ((friction_limit > 0.0) & (found["tangential_force"] >= AT_LIMIT * friction_limit)).astype(
                     np.uint8
@@ -81,27 +93,27 @@ class ContactOutput:
             }
         )
 
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Owner, list index, partner (n,) and recorded quantities (n, 4) of all contacts, each pair once."""
+    def _pairs(self, pose: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Owner and partner (n,) of all contacts, each pair once, and the arrays of their list entries."""
         state = self.state
         if state.count:
-            self._evaluate(state.count, state.clock.time_step)
+            self._evaluate(state.count, pose, state.clock.time_step)
         owner, list_index, partner = candidate_pairs(state)
-        numbers = self.numbers.to_numpy()[list_index].astype(float)
-        is_contact = ((partner < 0) | (partner > owner)) & (numbers[:, OVERLAP] > 0.0)
-        return owner[is_contact], list_index[is_contact], partner[is_contact], numbers[is_contact]
+        entries = self._table.take(list_index)
+        is_contact = ((partner < 0) | (partner > owner)) & (entries["numbers"][:, OVERLAP] > 0.0)
+        return owner[is_contact], partner[is_contact], {name: each[is_contact] for name, each in entries.items()}
 
-    def _history(self, list_index: np.ndarray, overlap: np.ndarray) -> dict[str, np.ndarray]:
+    def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
         """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.
 
         Fields of other models than the normal one have the slot as prefix.
         """
-        found = {"overlap_max": overlap, "restitution": np.ones(len(list_index))}
+        found = {"overlap_max": overlap, "restitution": np.ones(len(overlap))}
         for slot, fields in self.state.plan.laws.history.items():
             begin = 0
             for each in fields:
                 if each.in_output:
-                    columns = self.state.neighbors.history[slot].to_numpy()[list_index, begin : begin + each.size]
+                    columns = entries[slot][:, begin : begin + each.size]
                     name = each.name if slot == "normal" else f"{slot}_{each.name}"
                     found[name] = (columns if each.size > 1 else columns[:, 0]).astype(float)
                 begin += each.size
@@ -114,51 +126,51 @@ OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(QUANTITIES))
 
 
 def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
-    """Kernel (count, time_step): evaluate all list entries at pose 0.
+    """Kernel (count, pose, time_step): evaluate all list entries.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  numbers, force, contact_point of `output`
     """
     particles, neighbors, real = state.particles, state.neighbors, state.backend.real
-    any_kinematics, pair_number = build_any_kinematics(state), build_pair_number(state)
-    constants_of, read_history = build_constants(state.plan.laws), build_read_history(state)
+    any_kinematics, read_history = build_any_kinematics(state), build_read_history(state)
+    pair_constants = build_pair_constants(state)
     normal_force_of, surface_forces = build_normal_force(state.plan.laws, False), _build_surface_forces(state)
     numbers, contact_point_of = output.numbers, _build_contact_point(state)
 
     @ti.kernel
-    def evaluate(count: ti.i32, dt: real):
+    def evaluate(count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 j = neighbors.partner[list_index]
-                normal, contact = any_kinematics(i, j, 0, dt)
+                normal, contact = any_kinematics(i, j, pose, dt)
                 numbers[list_index][OVERLAP] = contact.overlap
                 if contact.overlap > 0.0:
-                    constants = constants_of(state.control.pair_constants[pair_number(i, j)])
+                    constants = pair_constants(i, j)
                     history = read_history(list_index)
                     normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
                     tangential, size, limit = surface_forces(constants, contact, load, history, particles.velocity[i])
                     numbers[list_index][NORMAL] = normal_force
                     numbers[list_index][TANGENTIAL] = size
                     numbers[list_index][LIMIT] = limit
-                    output.contact_point[list_index] = contact_point_of(i, j)
+                    output.contact_point[list_index] = contact_point_of(i, j, pose)
                     output.force[list_index] = normal_force * normal + tangential
 
     return evaluate
 
 
 def _build_contact_point(state: State) -> Any:
-    """Device function (i, j): contact point [m] with a wall; for particles the wrapped position of i.
+    """Device function (i, j, pose): contact point [m] with a wall; for particles the wrapped position of i.
 
     Reads:  position, walls
     """
     geometry, wrap_position = WallGeometry(state), build_wrap_position(state)
 
     @ti.func
-    def contact_point_of(i, j):
+    def contact_point_of(i, j, pose):
         contact_point = wrap_position(state.particles.position[i])
         if ti.static(state.plan.has_walls):
             if j < 0:
-                gap, direction = geometry.closest(-1 - j, 0, contact_point)
+                gap, direction = geometry.closest(-1 - j, pose, contact_point)
                 contact_point -= gap * direction
         return contact_point
 

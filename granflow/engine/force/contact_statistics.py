@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.exact_sums import SHARES, build_list_shares, to_units
 from granflow.engine.field_block import FieldBlock
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_number
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.distant_force import build_in_range
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.sum_units import ENERGY
 
 SUMS = ("contact_count", "overlap_sum", "elastic_energy", "plastic_dissipation")
@@ -26,21 +25,23 @@ class ContactStatistics:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.block = FieldBlock()
-        self.sums = self.block.vector(ti.i64, state.plan.chunk_capacity, count=len(SUMS))
-        self.largest = self.block.scalar(state.backend.real, state.plan.chunk_capacity)
+        self.block, chunks = FieldBlock(), state.plan.capacities.chunks
+        self.sums = self.block.vector(ti.i64, chunks, count=len(SUMS))
+        self.largest = self.block.scalar(state.backend.real, chunks)
         self.block.finish()
         self._measure = _build_measure(state, self.sums, self.largest)
 
-    def measure(self) -> dict[str, float]:
-        """Statistics of all contacts at pose 0; fills `coordination_number`.
+    def measure(self, pose: int) -> dict[str, float]:
+        """Statistics of all contacts; fills both contact counts.
+
+        pose:  index of the wall poses at the present time, see `Stepper.place_walls`
 
         Returns SUMS and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """
         state = self.state
         if not state.count:
             return dict.fromkeys((*SUMS, "overlap_largest"), 0.0)
-        self._measure(state.chunk_count, state.count, state.clock.time_step)
+        self._measure(state.chunk_count, state.count, pose, state.clock.time_step)
         energy = state.plan.sum_units.energy
         totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT, energy, energy]
         largest = float(self.largest.to_numpy()[: state.chunk_count].max())
@@ -48,46 +49,51 @@ class ContactStatistics:
 
 
 def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]:
-    """Kernel (chunks, count, time_step): exact sums and the largest relative overlap of each chunk; see `exact_sums`.
+    """Kernel (chunks, count, pose, time_step): exact sums and the largest relative overlap of each chunk.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, sums, largest
+    Writes:  coordination_number, wall_contact_count, sums, largest
     """
-    particles, neighbors, control = state.particles, state.neighbors, state.control
-    real, chunk_size, sum_count = state.backend.real, state.plan.chunk_size, len(SUMS)
-    any_kinematics, list_shares = build_any_kinematics(state), build_list_shares(state)
-    pair_number = build_pair_number(state)
-    energies, constants_of, stride = build_energies(state), build_constants(state.plan.laws), state.stride
+    particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
+    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), len(SUMS)
+    any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
+    pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
+    per_unit = state.parameter("per_unit")
 
     @ti.kernel
-    def measure(chunks: ti.i32, count: ti.i32, dt: real):
+    def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             particles.coordination_number[i] = 0
+            if ti.static(has_walls):
+                particles.wall_contact_count[i] = 0
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
                 found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
-                per_unit = control.per_unit[0][ENERGY]
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                per_joule, size = per_unit()[ENERGY], chunk_size()
+                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
-                        _normal, contact = any_kinematics(i, j, 0, dt)
+                        _normal, contact = any_kinematics(i, j, pose, dt)
+                        shares = list_shares(chunk, j)
+                        if in_range(i, j, contact.overlap):
+                            elastic, plastic = energies(list_index, pair_constants(i, j), contact)
+                            found[ELASTIC] += shares * to_units(per_joule * elastic)
+                            found[PLASTIC] += shares * to_units(per_joule * plastic)
                         if contact.overlap > 0.0:
-                            shares = list_shares(i, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
-                            constants = constants_of(control.pair_constants[pair_number(i, j)])
-                            elastic, plastic = energies(list_index, constants, contact)
-                            overlap_largest = ti.max(overlap_largest, relative)
                             found[COUNT] += shares
                             found[OVERLAP] += shares * to_units(relative / OVERLAP_UNIT)
-                            found[ELASTIC] += shares * to_units(per_unit * elastic)
-                            found[PLASTIC] += shares * to_units(per_unit * plastic)
-                            particles.coordination_number[i] += 1
-                            if shares == SHARES and j >= 0:
-                                particles.coordination_number[j] += 1
+                            overlap_largest = ti.max(overlap_largest, relative)
+                            if j >= 0:
+                                particles.coordination_number[i] += 1
+                                if shares == SHARES:
+                                    particles.coordination_number[j] += 1
+                            elif ti.static(has_walls):
+                                particles.wall_contact_count[i] += 1
                 sums[chunk], largest[chunk] = found, overlap_largest
 
     return measure
@@ -123,12 +129,14 @@ def build_energies(state: State) -> Any:
         stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
         if ti.static(energy_budget):
             history = read_history(list_index)
-            stored += laws.normal.stored_energy(constants.normal, contact, history.normal)
-            lost += laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if contact.overlap > 0.0:
+                stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
+                lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
             if ti.static(laws.has_cohesion):
                 stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
                 lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
-            stored = with_surface_energy(stored, constants, contact, history)
+            if contact.overlap > 0.0:
+                stored = with_surface_energy(stored, constants, contact, history)
         return stored, lost
 
     return energies

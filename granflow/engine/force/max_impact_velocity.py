@@ -3,15 +3,14 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_sphere_kinematics
-from granflow.engine.force.pair_kinematics import build_effective, build_pair_number
-from granflow.engine.force.structs import build_constants
+from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
+from granflow.kernel_language import ti
 
 
 class MaxImpactVelocity:
@@ -20,7 +19,7 @@ class MaxImpactVelocity:
     def __init__(self, state: State) -> None:
         self.state = state
         self.block = FieldBlock()
-        self._squares = self.block.scalar(state.backend.real, state.plan.chunk_capacity)
+        self._squares = self.block.scalar(state.backend.real, state.plan.capacities.chunks)
         self.block.finish()
         self._scan = _build_scan(state, self._squares)
 
@@ -40,7 +39,7 @@ def _build_scan(state: State, squares: Any) -> Any:
     Writes:  squares
     """
     neighbors, stride, real = state.neighbors, state.stride, state.backend.real
-    chunk_size, energy_velocity_squared = state.plan.chunk_size, _build_square(state)
+    chunk_size, energy_velocity_squared = state.parameter("chunk_size"), _build_square(state)
 
     @ti.kernel
     def scan(chunks: ti.i32, count: ti.i32, dt: real):
@@ -48,7 +47,7 @@ def _build_scan(state: State, squares: Any) -> Any:
             if task % stride == 0:
                 chunk = task // stride
                 largest = ti.cast(0.0, real)
-                for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, count)):
+                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         largest = ti.max(largest, energy_velocity_squared(i, neighbors.partner[list_index], dt))
                 squares[chunk] = largest
@@ -63,8 +62,7 @@ def _build_square(state: State) -> Any:
 
     For a pair without overlap v is the approach velocity, 0 if the pair separates.
     """
-    control, constants_of = state.control, build_constants(state.plan.laws)
-    overlap_and_rate, pair_number = _build_overlap_and_rate(state), build_pair_number(state)
+    overlap_and_rate, pair_constants = _build_overlap_and_rate(state), build_pair_constants(state)
     effective, wall_effective = build_effective(state, False), build_effective(state, True)
 
     @ti.func
@@ -75,7 +73,7 @@ def _build_square(state: State) -> Any:
             bodies = wall_effective(i, j)
             if j >= 0:
                 bodies = effective(i, j)
-            constants = constants_of(control.pair_constants[pair_number(i, j)])
+            constants = pair_constants(i, j)
             k = 4.0 / 3.0 * constants.normal.modulus_eff * ti.sqrt(bodies.radius_eff)
             found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / bodies.mass_eff
         return found

@@ -6,9 +6,8 @@ exchanged, each result is bit-identical or has exactly the opposite sign.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.contact.laws import ContactLaws
+from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
 ROUNDING = {ti.f64: 2.0**-50, ti.f32: 2.0**-21}
@@ -103,14 +102,14 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 
 
 def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.law`.
+    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.surface_law`.
 
-    Arguments: pair constants, struct `contact`, load [N], history, and structs as for `build_pair_force`.
+    Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
     """
-    law, longest_time_step = plan.laws.normal, plan.longest_time_step
+    law = plan.laws.normal
 
     @ti.func
-    def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities):
+    def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities, longest_time_step):
         ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
         if ti.static(law.tangential_stiffness_grows):
             overlap_before = contact.overlap - contact.time_step * kinematics.overlap_rate_half
@@ -143,7 +142,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     Arguments: pair constants; bodies, a struct of the effective radius [m], mass [kg] and inertia [kg m2]; kinematics
     of `build_sphere_kinematics`; angular_velocities, a struct of those of the first and the partner [rad/s]; history;
-    time step [s].
+    time step, and longest time step of the run [s].
 
     Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses (friction,
     rolling, damping): energy [J] dissipated in this step.
@@ -152,7 +151,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     normal_force_of, surface_contact = build_normal_force(plan.laws, is_prepared), build_surface_contact(plan)
 
     @ti.func
-    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt):
+    def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
         contact = ti.Struct(
             radius_eff=bodies.radius_eff,
             mass_eff=bodies.mass_eff,
@@ -165,7 +164,9 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         torque, torque_partner = 0.0 * force, 0.0 * force
         friction_loss, rolling_loss = 0.0 * load, 0.0 * load
         if ti.static(features.rotation):
-            surface = surface_contact(constants, contact, load, history_new, bodies, kinematics, angular_velocities)
+            surface = surface_contact(
+                constants, contact, load, history_new, bodies, kinematics, angular_velocities, longest_time_step
+            )
             if ti.static(laws.has_tangential):
                 tangential_force, tangential_history, friction_loss = tangential.force(
                     constants.tangential, surface, history.tangential

@@ -2,14 +2,14 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.exact_sums import build_list_shares, to_units
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
+from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_of
+from granflow.kernel_language import ti
 from granflow.plan.sum_units import ENERGY
 
 
@@ -18,7 +18,8 @@ def build_pair_kinematics(state: State, with_wall: bool) -> Any:
 
     with_wall:  True for walls; separate functions, so that the loops contain no branch between the two kinds of partner
 
-    Returns the struct of `build_sphere_kinematics`; without contact, only the overlap is valid, and not above 0.
+    Returns the struct of `build_sphere_kinematics`; without contact, the overlap is not above 0, and only models that
+    act at a distance get its value and the normal.
 
     Reads:  position, velocity, velocity_synchronized, radius, walls, image_offset, image_speed
     """
@@ -46,6 +47,7 @@ def _build_particle_kinematics(state: State) -> Any:
     particles, features, real = state.particles, state.plan.features, state.backend.real
     sphere_kinematics, in_contact = build_sphere_kinematics(state.plan), build_in_contact(real)
     minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+    acts_at_distance = state.plan.laws.acts_at_distance
 
     @ti.func
     def particle_kinematics(i, j, pose, time_step):
@@ -60,6 +62,10 @@ def _build_particle_kinematics(state: State) -> Any:
                     particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
                 )
             found = sphere_kinematics(radius, radius_partner, branch, velocity_rel_half, velocity_rel, time_step)
+        elif ti.static(acts_at_distance):
+            distance = ti.sqrt(branch.dot(branch))
+            found.overlap = ti.min(radius + radius_partner - distance, 0.0)
+            found.normal = 1.0 / distance * branch
         return found
 
     return particle_kinematics
@@ -68,7 +74,7 @@ def _build_particle_kinematics(state: State) -> Any:
 def _build_wall_kinematics(state: State) -> Any:
     """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
-    geometry = WallGeometry(state)
+    geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
@@ -76,6 +82,8 @@ def _build_wall_kinematics(state: State) -> Any:
         gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - found.overlap
+        if ti.static(acts_at_distance):
+            found.normal = ti.cast(direction, real)
         if found.overlap > 0.0:
             found.normal = ti.cast(direction, real)
             contact_point = particles.position[i] - gap * direction
@@ -159,11 +167,12 @@ def build_boundary_work(state: State) -> Any:
     Writes:  boundary_work
     """
     list_shares, image_velocity, control = build_list_shares(state), build_image_velocity(state), state.control
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        work = to_units(control.per_unit[0][ENERGY] * dt * force.dot(image_velocity(i, j, pose)))
-        control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + list_shares(i, j) * work
+        work = to_units(per_unit()[ENERGY] * dt * force.dot(image_velocity(i, j, pose)))
+        control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + list_shares(chunk, j) * work
 
     return add_boundary_work
 
@@ -176,13 +185,13 @@ def build_pair_number(state: State) -> Any:
     Reads:  material of particles and walls
     """
     plan, particles, walls = state.plan, state.particles, state.walls
-    features, wall_of = plan.features, build_wall_of(state)
+    features, wall_of, material_count = plan.features, build_wall_of(state), state.parameter("material_count")
 
     @ti.func
     def pair_number(i, j):
         number = 0
         if ti.static(not features.one_material):
-            number = particles.material[i] * plan.material_count
+            number = particles.material[i] * material_count()
             if j >= 0:
                 number += particles.material[j]
         if ti.static(plan.has_walls):
@@ -191,3 +200,18 @@ def build_pair_number(state: State) -> Any:
         return number
 
     return pair_number
+
+
+def build_pair_constants(state: State) -> Any:
+    """Device function (i, j) -> struct of the constants of the contact laws for particle i and partner j.
+
+    Reads:  pair_constants, law_parameters, material of particles and walls
+    """
+    control, constants_of = state.control, build_constants(state.plan.laws)
+    pair_number = build_pair_number(state)
+
+    @ti.func
+    def pair_constants(i, j):
+        return constants_of(control.pair_constants[pair_number(i, j)], control.law_parameters[0])
+
+    return pair_constants

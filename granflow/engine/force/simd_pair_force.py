@@ -7,16 +7,20 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.exact_sums import build_list_shares, build_to_grid, to_units
+from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
     build_pair_force,
     build_sphere_kinematics,
     effective_value,
 )
-from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_number
+from granflow.engine.force.pair_kinematics import (
+    build_boundary_work,
+    build_effective,
+    build_pair_constants,
+    build_pair_number,
+)
 from granflow.engine.force.structs import (
     build_constants,
     build_read_slots,
@@ -28,12 +32,10 @@ from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.limits import ABORT_OVERLAP
 from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
-from granflow.engine.state import LANES, State
+from granflow.engine.state import BATCH, LANES, State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
 from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
-
-BATCH = 128
-"""Number of contacts at which a batch is complete; no further neighbor list is added."""
 
 
 @ti.func
@@ -62,7 +64,7 @@ def build_batched_forces(state: State) -> Any:
         while i < last:
             found = 0
             while i < last and found < BATCH:
-                found = collect(worker, chunk, i, found, pose, dt)
+                found = collect(worker, chunk, i, found, first, last, pose, dt)
                 i += 1
             gather(worker, found, pose, dt)
             evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
@@ -72,42 +74,40 @@ def build_batched_forces(state: State) -> Any:
 
 
 def _build_collect(state: State) -> Any:
-    """Device function (worker, chunk, i, begin, pose, time_step): add the contacts of one neighbor list to the batch.
+    """Device function that adds the contacts of one neighbor list to the batch.
+
+    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time step.
 
     Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
     end.
 
     Reads:   position, radius, neighbor lists, in_contact
-    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
+             at a distance, sums
     """
-    plan, particles, neighbors, control, batch = (
-        state.plan,
-        state.particles,
-        state.neighbors,
-        state.control,
-        state.batch,
-    )
+    particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
     real, has_history = state.backend.real, bool(neighbors.history)
-    in_contact, end_contact, pair_number = build_in_contact(real), build_end_contact(state), build_pair_number(state)
+    in_contact, end_contact = build_in_contact(real), build_end_contact(state)
     effective, minimum_image = build_effective(state, False), build_minimum_image(state)
-    constants_of, add_plastic_loss = build_constants(plan.laws), build_add_plastic_loss(state)
+    pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
+    max_overlap, acts_at_distance = state.parameter("max_overlap"), state.plan.laws.acts_at_distance
+    attract = _build_attract(state) if acts_at_distance else None
 
     @ti.func
     def end_lost_contact(chunk, list_index, i, j, dt):
-        constants = constants_of(control.pair_constants[pair_number(i, j)])
-        energy_lost = end_contact(list_index, constants, effective(i, j), dt)
-        add_plastic_loss(chunk, i, j, energy_lost)
+        energy_lost = end_contact(list_index, pair_constants(i, j), effective(i, j), dt)
+        add_plastic_loss(chunk, j, energy_lost)
 
     @ti.func
-    def check_overlap(i, square, reach, radius_min):
-        distance_limit = reach - plan.max_overlap * radius_min
+    def check_overlap(i, square, reach, overlap_limit):
+        distance_limit = reach - overlap_limit
         if square < distance_limit * distance_limit:
             ti.atomic_max(control.abort[0], ABORT_OVERLAP)
             ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
-    def collect(worker, chunk, i, begin, pose, dt):
-        position, radius = particles.position[i], particles.radius[i]
+    def collect(worker, chunk, i, begin, first, last, pose, dt):
+        position, radius, overlap_ratio = particles.position[i], particles.radius[i], max_overlap()
         end = begin
         for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
             j = neighbors.partner[list_index]
@@ -122,13 +122,78 @@ def _build_collect(state: State) -> Any:
             square, reach = branch.dot(branch), radius + radius_partner
             near = in_contact(square, reach)
             end += ti.cast(near, ti.i32)
-            check_overlap(i, square, reach, ti.select(radius < radius_partner, radius, radius_partner))
-            if ti.static(has_history):
+            radius_min = ti.select(radius < radius_partner, radius, radius_partner)
+            check_overlap(i, square, reach, overlap_ratio * radius_min)
+            if ti.static(acts_at_distance):
+                if not near:
+                    attract(worker, chunk, i, j, list_index, branch, reach, first, last, pose, dt)
+            elif ti.static(has_history):
                 if neighbors.in_contact[list_index] == 1 and not near:
                     end_lost_contact(chunk, list_index, i, j, dt)
         return end
 
     return collect
+
+
+def _build_attract(state: State) -> Any:
+    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+
+    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the
+    chunk, pose, time step. The force is rounded for the exact sums.
+
+    Reads:   radius, mass, history, pair_constants, law_parameters
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work
+    """
+    batch, features, to_grid, shift = (
+        state.batch,
+        state.plan.features,
+        build_to_grid(state.backend.real),
+        state.parameter("shift"),
+    )
+    add_to_sums = _build_add_to_sums(state)
+    distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
+    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    pair_constants, effective, has_history = (
+        build_pair_constants(state),
+        build_effective(state, False),
+        bool(state.neighbors.history),
+    )
+
+    @ti.func
+    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
+        distance = ti.sqrt(branch.dot(branch))
+        constants = pair_constants(i, j)
+        if distance < contact_distance + constants.cohesion.range:
+            overlap = ti.min(contact_distance - distance, 0.0)
+            attraction = distant_force(chunk, i, list_index, j, overlap, dt)
+            force = to_grid(-attraction / distance * branch, shift()[FORCE])
+            added = ti.cast(force, batch.sums.dtype)
+            add_to_sums(worker, i - first, 0, added)
+            if j >= first and j < last:
+                add_to_sums(worker, j - first, 0, -added)
+            if ti.static(features.energy_budget and features.lees_edwards):
+                add_boundary_work(chunk, i, j, force, pose, dt)
+        elif ti.static(has_history):
+            add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
+
+    return attract
+
+
+def _build_add_to_sums(state: State) -> Any:
+    """Device function (worker, particle, first, terms): add three terms to the sums of a particle.
+
+    Particles are numbered within the chunk; `first` is the component of the first term.
+
+    Writes:  sums of the batch
+    """
+    batch = state.batch
+
+    @ti.func
+    def add_to_sums(worker, local, first: ti.template(), terms):
+        for k in ti.static(range(3)):
+            batch.sums[worker, local][first + k] = batch.sums[worker, local][first + k] + terms[k]
+
+    return add_to_sums
 
 
 def _build_gather(state: State) -> Any:
@@ -186,10 +251,10 @@ def _build_prepare(state: State) -> Any:
 
     Evaluates the branches of the normal model.
 
-    Reads:  branch vector of the batch, radius, mass, pair_constants
+    Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
     """
     plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
-    constants_of, pair_number = build_constants(plan.laws), build_pair_number(state)
+    pair_constants = build_pair_constants(state)
     history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
     contact_mass = build_contact_mass(state)
 
@@ -207,8 +272,7 @@ def _build_prepare(state: State) -> Any:
             overlap=radius + radius_partner - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )
-        constants = constants_of(state.control.pair_constants[pair_number(i, j)])
-        return vector_of(law.prepare(constants.normal, contact, history_of(vector)))
+        return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
 
     return prepare
 
@@ -258,10 +322,10 @@ def _build_evaluate(state: State) -> Any:
     """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
 
     The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones.
-    Forces and torques are rounded for the exact sums, losses are in their units. It
-    is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+    Forces and torques are rounded for the exact sums, losses are in their units. It is a separate function
+    (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
 
-    Reads:   columns of the batch, pair_constants
+    Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
     """
     plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
@@ -270,6 +334,9 @@ def _build_evaluate(state: State) -> Any:
     sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
     load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
     constants_of, to_grid = build_constants(plan.laws), build_to_grid(real)
+    longest_time_step, shift_of, per_unit = (
+        state.parameter(name) for name in ("longest_time_step", "shift", "per_unit")
+    )
 
     @ti.func
     def kinematics_of(worker, entry, dt):
@@ -283,31 +350,33 @@ def _build_evaluate(state: State) -> Any:
         )
 
     @ti.func
-    def store_results(worker, entry, found, shift, per_unit):
+    def store_results(worker, entry, found, shift, units):
         store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
         store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
         store_vector(batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE]))
         for slot, vector_of in ti.static(slots):
             store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
         if ti.static(features.energy_budget):
-            store_vector(batch.losses, worker, entry, per_unit[ENERGY] * found.losses)
+            store_vector(batch.losses, worker, entry, units[ENERGY] * found.losses)
 
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
-        shared, shift, per_unit = control.pair_constants[0], control.shift[0], control.per_unit[0]
+        shared, parameters = control.pair_constants[0], control.law_parameters[0]
+        longest, shift, units = longest_time_step(), shift_of(), per_unit()
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
                 row = load_vector(batch.constants, worker, entry, constant_count)
             found = pair_force(
-                constants_of(row),
+                constants_of(row, parameters),
                 load_bodies(worker, entry),
                 kinematics_of(worker, entry, dt),
                 load_angular_velocities(worker, entry),
                 load_history(worker, entry),
                 dt,
+                longest,
             )
-            store_results(worker, entry, found, shift, per_unit)
+            store_results(worker, entry, found, shift, units)
 
     return evaluate
 
@@ -323,6 +392,7 @@ def _build_scatter(state: State) -> Any:
     plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
     list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
+    add_to_sums = _build_add_to_sums(state)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -337,16 +407,11 @@ def _build_scatter(state: State) -> Any:
                 history[slot][list_index][k] = batch.history[slot][k][worker, entry]
 
     @ti.func
-    def add_losses(worker, chunk, i, j, entry):
-        shares = list_shares(i, j)
+    def add_losses(worker, chunk, j, entry):
+        shares = list_shares(chunk, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
             added = shares * to_units(batch.losses[k][worker, entry])
             control.losses[chunk][loss] = control.losses[chunk][loss] + added
-
-    @ti.func
-    def add_to_sums(worker, local, first: ti.template(), terms):
-        for k in ti.static(range(3)):
-            batch.sums[worker, local][first + k] = batch.sums[worker, local][first + k] + terms[k]
 
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):
@@ -364,7 +429,7 @@ def _build_scatter(state: State) -> Any:
                     add_to_sums(worker, j - first, 3, ti.cast(torque_partner, batch.sums.dtype))
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
-                add_losses(worker, chunk, i, j, entry)
+                add_losses(worker, chunk, j, entry)
                 if ti.static(features.lees_edwards):
                     add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
 

@@ -3,10 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
-import taichi as ti
-
-from granflow.contact.device import at_compile_time
 from granflow.contact.laws import ContactLaws
+from granflow.device_functions import at_compile_time
+from granflow.kernel_language import ti
 
 
 @at_compile_time
@@ -15,17 +14,35 @@ def member(struct: Any, name: str) -> Any:
     return getattr(struct, name)
 
 
+@ti.func
+def _of_pair(pair, parameters, k: ti.template()):
+    return pair[k]
+
+
+@ti.func
+def _of_law(pair, parameters, k: ti.template()):
+    return parameters[k]
+
+
 def build_constants(laws: ContactLaws) -> Any:
-    """Device function (row of the pair constants) -> struct of slots, each a struct of the constants of the law."""
-    columns, count = [], 0
-    for slot, names in laws.constant_names.items():
-        columns.append((slot, [(name, count + k) for k, name in enumerate(names)]))
-        count += len(names)
+    """Device function (row of the pair constants, row of the law parameters) -> struct of slots, each of constants.
+
+    A struct contains the pair constants and the parameters of its law by name.
+    """
+    parts: dict[str, list[tuple[str, Any, int]]] = {slot: [] for slot in laws.by_slot}
+    for part, names_by_slot in ((_of_pair, laws.constant_names), (_of_law, laws.parameters)):
+        names = [(slot, name) for slot, own in names_by_slot.items() for name in own]
+        for k, (slot, name) in enumerate(names):
+            parts[slot].append((name, part, k))
+    slots = list(parts.items())
 
     @ti.func
-    def constants_of(row):
+    def constants_of(pair, parameters):
         return ti.Struct(
-            {slot: ti.Struct({name: row[k] for name, k in ti.static(own)}) for slot, own in ti.static(columns)}
+            {
+                slot: ti.Struct({name: part(pair, parameters, k) for name, part, k in ti.static(own)})
+                for slot, own in ti.static(slots)
+            }
         )
 
     return constants_of

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.exact_sums import carried, exact_totals, to_units
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import IMPULSE_SIZE
 from granflow.plan.sum_units import ANGULAR_IMPULSE, IMPULSE
 
@@ -22,8 +22,8 @@ def build_add_impulse(state: State) -> Any:
     Reads:   position, impulse_row, pivot
     Writes:  impulses
     """
-    particles, walls, control = state.particles, state.walls, state.control
-    impulses = control.impulses
+    particles, walls, impulses = state.particles, state.walls, state.control.impulses
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def add_impulse(chunk, w, i, normal, force, torque, dt):
@@ -33,12 +33,12 @@ def build_add_impulse(state: State) -> Any:
             impulse, angular_impulse = -time * ti.cast(force, ti.f64), -time * ti.cast(torque, ti.f64)
             arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
             angular_impulse += arm.cross(impulse)
-            per_unit = ti.cast(control.per_unit[0], ti.f64)
+            units = ti.cast(per_unit(), ti.f64)
             sums = impulses[chunk, row]
             for axis in ti.static(range(3)):
-                sums[axis] += to_units(per_unit[IMPULSE] * impulse[axis])
-                sums[3 + axis] += to_units(per_unit[ANGULAR_IMPULSE] * angular_impulse[axis])
-            sums[6] -= to_units(per_unit[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+                sums[axis] += to_units(units[IMPULSE] * impulse[axis])
+                sums[3 + axis] += to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
+            sums[6] -= to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
             impulses[chunk, row] = carried(sums, IMPULSE_SIZE)
 
     return add_impulse

@@ -6,11 +6,10 @@ two chunks.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cells import BLOCK_SIDE
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS
 from granflow.plan.plan import BLOCK_CELLS
 
@@ -30,15 +29,17 @@ MARGIN = 1e-6
 def build_lay_grids(state: State) -> Any:
     """Device function (count): the grid for sorting; if particle sizes differ widely, one per size class.
 
-    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches. Aborts if an
-    expanding domain has become too large for the precision.
+    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and the range of
+    the forces. Aborts if an expanding domain has become too large for the precision.
 
-    Reads:   low, high, reach of the cell sort (see `build_bounds`)
-    Writes:  grid_low, cell_side, cells, cell_count, first_cell, radius, reach_largest, abort
+    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phase`)
+    Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
     """
-    plan, sorting, real = state.plan, state.cell_sort, state.backend.position_real
-    radii, by_class = list(plan.size_classes), state.cell_sort.class_order is not None
-    lay_grid, expands, class_count = _build_lay_grid(state), plan.domain.on_exit == "expand", len(plan.size_classes)
+    sorting, by_class = state.cell_sort, state.cell_sort.class_order is not None
+    lay_grid, expands = _build_lay_grid(state), state.plan.domain.on_exit == "expand"
+    class_count, force_range, coordinate_limit = (
+        state.parameter(name) for name in ("class_count", "force_range", "coordinate_limit")
+    )
 
     @ti.func
     def lay_grids(count):
@@ -49,15 +50,16 @@ def build_lay_grids(state: State) -> Any:
             reach = ti.max(reach, sorting.reach[part])
         sorting.reach_largest[0] = reach
         if ti.static(expands):
-            if ti.max(-low.min(), high.max()) > plan.coordinate_limit:
+            if ti.max(-low.min(), high.max()) > coordinate_limit():
                 ti.atomic_max(state.control.abort[0], ABORT_FAR)
         first_cell = 0
-        for grid in ti.static(range(len(radii))):
+        for grid in range(class_count()):
             if ti.static(by_class):
-                sorting.radius[grid], sorting.first_cell[grid] = real(radii[grid]), first_cell
-            lay_grid(grid, parts, low, high, (2.0 * real(radii[grid]) + 2.0 * reach) * (1.0 + MARGIN))
+                sorting.first_cell[grid] = first_cell
+            side = (2.0 * sorting.radius[grid] + 2.0 * reach + force_range()) * (1.0 + MARGIN)
+            lay_grid(grid, parts, low, high, side)
             first_cell += sorting.cell_count[grid]
-        sorting.cell_count[class_count] = first_cell
+        sorting.cell_count[class_count()] = first_cell
 
     return lay_grids
 
@@ -76,11 +78,11 @@ def _build_lay_grid(state: State) -> Any:
     """
     sorting, axes = state.cell_sort, state.plan.periodic_box.axes
     grid_over, within = build_grid_over(state), _build_within(state)
-    other_axes = [axis for axis in range(3) if axis not in axes]
+    other_axes, cell_capacity = [axis for axis in range(3) if axis not in axes], state.parameter("cell_capacity")
 
     @ti.func
-    def lay_grid(grid: ti.template(), parts, low, high, side):
-        limit = sorting.cell_capacity >> grid
+    def lay_grid(grid, parts, low, high, side):
+        limit = cell_capacity() >> grid
         found_low, sides, cells = grid_over(low, high, side, limit)
         is_coarse = False
         for axis in ti.static(other_axes):
@@ -140,19 +142,22 @@ def build_grid_over(state: State) -> Any:
     coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic axes the cells fill
     the domain exactly; along the other axes they are `side` wide, in whole blocks.
     """
-    plan, real = state.plan, state.backend.position_real
-    lows, highs = ([float(value) for value in corner] for corner in (plan.domain_low, plan.domain_high))
-    axes, expands = plan.periodic_box.axes, plan.domain.on_exit == "expand"
+    real, domain_low, domain_high = (
+        state.backend.position_real,
+        state.parameter("domain_low"),
+        state.parameter("domain_high"),
+    )
+    axes, expands = state.plan.periodic_box.axes, state.plan.domain.on_exit == "expand"
 
     @ti.func
     def grid_over(low, high, side_requested, limit):
-        box_low, box_high, side = low, high, side_requested
+        box_low, box_high, side, lows, highs = low, high, side_requested, domain_low(), domain_high()
         for axis in ti.static(range(3)):
             if ti.static(axis in axes):
-                box_low[axis], box_high[axis] = real(lows[axis]), real(highs[axis])
+                box_low[axis], box_high[axis] = lows[axis], highs[axis]
             elif ti.static(not expands):
-                box_low[axis] = ti.max(low[axis], real(lows[axis]))
-                box_high[axis] = ti.min(high[axis], real(highs[axis]))
+                box_low[axis] = ti.max(low[axis], lows[axis])
+                box_high[axis] = ti.min(high[axis], highs[axis])
         size = ti.max(box_high - box_low, 0.0)
         cells, sides, fits = size, size, False
         while not fits:

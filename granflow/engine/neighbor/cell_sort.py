@@ -5,13 +5,12 @@ Integers determine all results: the order is the same for any number of threads.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.neighbor.cell_grid import build_lay_grids
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
 from granflow.engine.neighbor.phases import Phase, granularity, part_range
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 
@@ -27,7 +26,7 @@ def bounds_phase(state: State) -> Phase:
     Writes:  reach of the particles; low, high, reach of the cell sort; the grids
     """
     particles, sorting, real = state.particles, state.cell_sort, state.backend.position_real
-    position, reach_max, lay_grids = particles.position, state.plan.reach_max, build_lay_grids(state)
+    position, reach_max, lay_grids = particles.position, state.parameter("reach_max"), build_lay_grids(state)
 
     @ti.func
     def part_count(rebuild):
@@ -36,11 +35,11 @@ def bounds_phase(state: State) -> Phase:
     @ti.func
     def bounds(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        smallest, largest, reach_largest = position[begin], position[begin], 0.5 * rebuild.skin
+        smallest, largest, reach_largest, limit = position[begin], position[begin], 0.5 * rebuild.skin, reach_max()
         for i in range(begin, end):
             smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
-            reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, real(reach_max))
+            reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
             particles.reach[i] = reach
             reach_largest = ti.max(reach_largest, reach)
         sorting.low[part], sorting.high[part], sorting.reach[part] = smallest, largest, reach_largest
@@ -91,20 +90,20 @@ def class_phases(state: State) -> list[Phase]:
     Reads:   position, radius
     Writes:  class_start, class_order
     """
-    particles, sorting, real = state.particles, state.cell_sort, state.backend.real
-    uppers, class_count = state.plan.size_classes[:-1], len(state.plan.size_classes)
+    particles, sorting = state.particles, state.cell_sort
+    class_count = state.parameter("class_count")
 
     @ti.func
     def cell_of(i, cell_count):
         group = 0
-        for upper in ti.static(uppers):
-            group += ti.cast(particles.radius[i] > real(upper), ti.i32)
+        for smaller in range(class_count() - 1):
+            group += ti.cast(particles.radius[i] > sorting.radius[smaller], ti.i32)
         cell = cell_number(cell_of_point(sorting, group, particles.position[i]), sorting.cells[group])
         return sorting.first_cell[group] + cell
 
     @ti.func
     def cells_of_all():
-        return sorting.cell_count[class_count]
+        return sorting.cell_count[class_count()]
 
     @ti.func
     def key(i):

@@ -3,8 +3,7 @@
 `sorting` is `State.cell_sort`; cell coordinates are 3-vectors of integers, from 0.
 """
 
-import taichi as ti
-
+from granflow.kernel_language import ti
 from granflow.plan.plan import BLOCK_CELLS
 
 BLOCK_SIDE = 8

@@ -2,11 +2,10 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.exact_sums import build_list_shares, to_units
 from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import PLASTIC
 from granflow.plan.sum_units import ENERGY
 
@@ -72,6 +71,8 @@ def build_end_contact(state: State) -> Any:
         if ti.static("normal" in names):
             energy = laws.normal.lost_energy(constants.normal, contact, history.normal)
         if ti.static("cohesion" in names):
+            if ti.static(laws.acts_at_distance):
+                contact.overlap = -constants.cohesion.range
             energy += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
         return energy
 
@@ -91,16 +92,17 @@ def build_end_contact(state: State) -> Any:
 
 
 def build_add_plastic_loss(state: State) -> Any:
-    """Device function (chunk, i, j, energy [J]): add the plastic work of a contact that has ended.
+    """Device function (chunk, j, energy [J]): add the plastic work of a contact that has ended.
 
     Writes:  losses
     """
     control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
+    per_unit = state.parameter("per_unit")
 
     @ti.func
-    def add_plastic_loss(chunk, i, j, energy_lost):
+    def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            added = list_shares(i, j) * to_units(control.per_unit[0][ENERGY] * energy_lost)
+            added = list_shares(chunk, j) * to_units(per_unit()[ENERGY] * energy_lost)
             control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + added
 
     return add_plastic_loss

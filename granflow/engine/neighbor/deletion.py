@@ -1,13 +1,11 @@
 """Particle deletion. Checked at neighbor-list rebuilds only."""
 
-from math import inf
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from granflow.engine.state import State
-from granflow.plan.outlets import PlannedOutlet
+from granflow.kernel_language import ti
 
 
 def find_farthest(state: State) -> None:
@@ -29,18 +27,17 @@ def build_remains(state: State) -> Any:
     Reads:  position, fixed
     """
     in_outlet = _build_in_outlet(state)
-    position, real, periodic_box = state.particles.position, state.backend.position_real, state.plan.periodic_box
-    unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else periodic_box.axes
-    lows, highs = ([float(value) for value in corner] for corner in (state.plan.domain_low, state.plan.domain_high))
+    position, low, high = state.particles.position, state.parameter("domain_low"), state.parameter("domain_high")
+    unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else state.plan.periodic_box.axes
 
     @ti.func
     def remains(i):
-        p, inside = position[i], True
+        p, inside, lows, highs = position[i], True, low(), high()
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
                 inside = inside and p[axis] == p[axis]  # false for NaN
             else:
-                inside = inside and p[axis] >= real(lows[axis]) and p[axis] <= real(highs[axis])
+                inside = inside and p[axis] >= lows[axis] and p[axis] <= highs[axis]
         if ti.static(state.plan.features.outlets):
             inside = inside and not in_outlet(i)
         return inside
@@ -54,7 +51,7 @@ def _build_in_outlet(state: State) -> Any:
     Reads:  position, fixed
     """
     particles, fixed_particles = state.particles, state.plan.features.fixed_particles
-    in_one_outlet = [_build_in_one_outlet(outlet, state.backend.position_real) for outlet in state.plan.outlets]
+    in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
 
     @ti.func
     def in_outlet(i):
@@ -68,30 +65,41 @@ def _build_in_outlet(state: State) -> Any:
     return in_outlet
 
 
-def _build_in_one_outlet(outlet: PlannedOutlet, real: Any) -> Any:
+def _build_in_one_outlet(state: State, index: int) -> Any:
     """Device function (point): true if the point [m] is in one outlet.
 
     An outlet is a box, a half space, or the part of a half space within a radius of its axis (disc).
     """
-    is_box, has_radius = outlet.low is not None, outlet.radius < inf
-    lows, highs = ([] if corner is None else corner.tolist() for corner in (outlet.low, outlet.high))
-    point, normal, radius = outlet.point.tolist(), outlet.normal.tolist(), outlet.radius
+    outlet = state.plan.outlets[index]
+    return _build_in_box(state, index) if outlet.kind == "box" else _build_in_half_space(state, index, outlet.kind)
+
+
+def _build_in_box(state: State, index: int) -> Any:
+    low, high = state.parameter(f"outlet.{index}.low"), state.parameter(f"outlet.{index}.high")
 
     @ti.func
     def in_box(p):
-        is_inside = True
+        is_inside, lows, highs = True, low(), high()
         for axis in ti.static(range(3)):
-            is_inside = is_inside and p[axis] >= real(lows[axis]) and p[axis] <= real(highs[axis])
+            is_inside = is_inside and p[axis] >= lows[axis] and p[axis] <= highs[axis]
         return is_inside
+
+    return in_box
+
+
+def _build_in_half_space(state: State, index: int, kind: str) -> Any:
+    point, normal = state.parameter(f"outlet.{index}.point"), state.parameter(f"outlet.{index}.normal")
+    is_disc = kind == "disc"
+    radius = state.parameter(f"outlet.{index}.radius") if is_disc else None
 
     @ti.func
     def in_half_space(p):
-        from_point = p - ti.Vector(point, dt=real)
-        along = from_point.dot(ti.Vector(normal, dt=real))
+        from_point, direction = p - point(), normal()
+        along = from_point.dot(direction)
         is_inside = along >= 0.0
-        if ti.static(has_radius):
-            radial = from_point - along * ti.Vector(normal, dt=real)
-            is_inside = is_inside and radial.dot(radial) <= real(radius) * real(radius)
+        if ti.static(is_disc):
+            radial = from_point - along * direction
+            is_inside = is_inside and radial.dot(radial) <= radius() * radius()
         return is_inside
 
-    return in_box if is_box else in_half_space
+    return in_half_space

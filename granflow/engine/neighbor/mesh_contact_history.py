@@ -6,13 +6,13 @@ the history that a contact of the first pass released; then the released entries
 
 from typing import Any
 
-import taichi as ti
-
+from granflow.engine.force.pair_kinematics import build_pair_constants
 from granflow.engine.mesh import from_nearest
 from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 from granflow.geometry.shape import FAR_AWAY
+from granflow.kernel_language import ti
 
 CONTACT_ORDER = (IN_CONTACT, NO_CONTACT, RELEASED)
 """State of the entries evaluated in each pass."""
@@ -33,13 +33,17 @@ def build_release_history(state: State) -> Any:
     Writes:  in_contact
     """
     particles, neighbors = state.particles, state.neighbors
-    separation, wall_count = _build_separation(state), len(state.plan.walls)
+    separation, wall_count = _build_separation(state), state.parameter("wall_count")
+    acts_at_distance, pair_constants = state.plan.laws.acts_at_distance, build_pair_constants(state)
 
     @ti.func
     def release_history(i, list_index, j, pose):
-        released, t = 0, -1 - j - wall_count
+        released, t = 0, -1 - j - wall_count()
         if t >= 0 and neighbors.in_contact[list_index] == IN_CONTACT:
-            if separation(i, t, pose).norm() < particles.radius[i]:
+            reach = particles.radius[i]
+            if ti.static(acts_at_distance):
+                reach += pair_constants(i, j).cohesion.range
+            if separation(i, t, pose).norm() < reach:
                 neighbors.in_contact[list_index] = RELEASED
                 released = 1
         return released
@@ -57,7 +61,7 @@ def build_acquire_history(state: State) -> Any:
     Writes:  history, in_contact
     """
     neighbors, mesh, real = state.neighbors, state.mesh, state.backend.position_real
-    separation, wall_count, names = _build_separation(state), len(state.plan.walls), list(neighbors.history)
+    separation, wall_count, names = _build_separation(state), state.parameter("wall_count"), list(neighbors.history)
 
     @ti.func
     def released_near(i, t, pose):
@@ -66,7 +70,7 @@ def build_acquire_history(state: State) -> Any:
         # A sphere has few wall entries, so that a search among all of them is cheap.
         for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
             if neighbors.in_contact[list_index] == RELEASED:
-                other = -1 - neighbors.partner[list_index] - wall_count
+                other = -1 - neighbors.partner[list_index] - wall_count()
                 if mesh.wall[other] == mesh.wall[t]:
                     distance = (separation(i, other, pose) - separation(i, t, pose)).norm()
                     if distance < nearest:
@@ -75,7 +79,7 @@ def build_acquire_history(state: State) -> Any:
 
     @ti.func
     def acquire_history(i, list_index, j, pose):
-        t = -1 - j - wall_count
+        t = -1 - j - wall_count()
         if t >= 0 and neighbors.in_contact[list_index] == NO_CONTACT:
             source = released_near(i, t, pose)
             if source >= 0:

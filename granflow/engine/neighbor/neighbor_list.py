@@ -6,8 +6,6 @@ threads.
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.frozen_masks import build_can_touch
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.cells import (
@@ -23,23 +21,33 @@ from granflow.engine.neighbor.saved_history import build_restore_history
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
+from granflow.kernel_language import ti
+
+TOO_LONG = 2**30
+"""Added to the length of a chunk in which the list of a particle is too long for a batch."""
+
+NO_LIMIT = 2**31 - 1
+"""Length of a list without batches."""
 
 
 def fill_phase(state: State) -> Phase:
     """Fill the neighbor lists, chunk by chunk, with all pairs that can come into contact before the next rebuild.
 
     Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
-    plus half the skin, by which walls may move.
+    plus half the skin, by which walls may move. The range of forces at a distance is added to both.
 
     `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
-    repeats this phase with a larger capacity.
+    repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
 
     Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested
     """
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
-    chunk_size, lists, list_capacity = state.plan.chunk_size, NeighborListFill(state), neighbors.list_capacity_per_chunk
+    chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
+    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
+    if state.batch is not None:
+        longest_allowed = state.batch.longest_list
 
     @ti.func
     def present_count(rebuild):
@@ -50,20 +58,25 @@ def fill_phase(state: State) -> Phase:
 
     @ti.func
     def chunk_count(rebuild):
-        return (present_count(rebuild) + chunk_size - 1) // chunk_size
+        return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
 
     @ti.func
     def fill(chunk, rebuild):
-        list_index = chunk * list_capacity
-        for i in range(chunk * chunk_size, ti.min((chunk + 1) * chunk_size, present_count(rebuild))):
+        first, end = chunk * chunk_size(), (chunk + 1) * chunk_size()
+        begin = chunk * list_capacity()
+        limit, list_index, longest = begin + list_capacity(), begin, 0
+        for i in range(first, ti.min(end, present_count(rebuild))):
             particles.position_at_rebuild[i] = particles.position[i]
             neighbors.list_begin[i] = list_index
             owner = ti.Struct(
-                i=i, chunk=chunk, skin=rebuild.skin, reach=sorting.reach_largest[0], pose=rebuild.pose
+                i=i, first=first, end=end, limit=limit, skin=rebuild.skin, reach=sorting.reach_largest[0],
+                pose=rebuild.pose,
             )  # fmt: skip
             list_index = lists.fill(owner, list_index)
             neighbors.list_end[i] = list_index
-        ti.atomic_max(control.list_length_needed[0], list_index - chunk * list_capacity)
+            longest = ti.max(longest, list_index - neighbors.list_begin[i])
+        excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
+        ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
 
     @ti.func
     def finish(rebuild):
@@ -77,8 +90,8 @@ def fill_phase(state: State) -> Phase:
 class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
-    `owner`, a struct: index `i` of the particle, its `chunk`, the `skin` [m], the largest `reach` [m] of all particles
-    and the `pose` of the walls.
+    `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices of the
+    chunk, the `skin` [m], the largest `reach` [m] of all particles and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
@@ -87,11 +100,18 @@ class NeighborListFill:
         self.state, self.plan, self.mesh = state, plan, state.mesh
         self.particles, self.neighbors, self.sorting = state.particles, state.neighbors, state.cell_sort
         self.sheared, self.by_class = plan.features.lees_edwards, state.cell_sort.class_order is not None
-        self.image_range, self.class_count = int(plan.features.lees_edwards), len(plan.size_classes)
+        self.image_range, self.class_count = int(plan.features.lees_edwards), state.parameter("class_count")
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry, self.can_touch, self.wall_count = WallGeometry(state), build_can_touch(state), len(plan.walls)
+        self.geometry, self.can_touch, self.wall_count = (
+            WallGeometry(state),
+            build_can_touch(state),
+            state.parameter("wall_count"),
+        )
+        self.domain_low, self.domain_high, self.force_range = (
+            state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
+        )
         self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
         self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
         self.image_index = build_image_index(state)
@@ -100,25 +120,30 @@ class NeighborListFill:
     def fill(self, owner: ti.template(), list_index):
         """Append walls, then particles: contact forces evaluate the two kinds in separate loops."""
         list_end = list_index
-        if ti.static(self.wall_count > 0):
+        if ti.static(self.plan.has_walls):
             list_end = self._append_walls(owner, list_end)
         self.neighbors.list_walls_end[owner.i] = list_end
         return self._append_particles(owner, list_end)
 
     @ti.func
     def _append(self, owner: ti.template(), list_index, j):
-        if list_index < (owner.chunk + 1) * self.neighbors.list_capacity_per_chunk:
+        if list_index < owner.limit:
             self.neighbors.partner[list_index] = j
             if ti.static(len(self.neighbors.history) > 0):
                 self.restore_history(list_index, owner.i, j)
         return list_index + 1
 
     @ti.func
+    def _slack(self, owner: ti.template()):
+        """Gap [m] between particle and wall below which they are listed."""
+        return self.particles.reach[owner.i] + 0.5 * owner.skin + self.force_range()
+
+    @ti.func
     def _append_walls(self, owner: ti.template(), list_index):
-        """Append the walls, and the triangles of meshes, within the skin."""
+        """Append the walls, and the triangles of meshes, within reach."""
         position, list_end = self.particles.position[owner.i], list_index
-        reach = self.particles.radius[owner.i] + self.particles.reach[owner.i] + 0.5 * owner.skin
-        for w in range(self.wall_count):
+        reach = self.particles.radius[owner.i] + self._slack(owner)
+        for w in range(self.wall_count()):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
                     list_end = self._append_triangles(owner, list_end, w)
@@ -128,15 +153,15 @@ class NeighborListFill:
 
     @ti.func
     def _append_triangles(self, owner: ti.template(), list_index, w):
-        """Append the triangles of a mesh that are within the skin and may own a contact."""
-        list_end, slack = list_index, self.particles.reach[owner.i] + 0.5 * owner.skin
+        """Append the triangles of a mesh that are within reach and may own a contact."""
+        list_end, slack = list_index, self._slack(owner)
         reach = self.particles.radius[owner.i] + slack
         local = self.geometry.to_wall_frame(w, owner.pose, self.particles.position[owner.i])
         begin, end = triangle_range(self.mesh, w, local)
         for k in range(begin, end):
             t = self.mesh.cell_triangles[k]
             if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
-                list_end = self._append(owner, list_end, -1 - self.wall_count - t)
+                list_end = self._append(owner, list_end, -1 - self.wall_count() - t)
         return list_end
 
     @ti.func
@@ -144,8 +169,8 @@ class NeighborListFill:
         """Append partners from the cells within reach, class by class; separately for each image along a gradient."""
         list_end, position = list_index, self.particles.position[owner.i]
         if ti.static(self.by_class):
-            for grid in range(self.class_count):
-                reach = self.particles.radius[owner.i] + self.sorting.radius[grid]
+            for grid in range(self.class_count()):
+                reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + self.force_range()
                 reach += self.particles.reach[owner.i] + owner.reach
                 if ti.static(self.sheared):
                     reach += owner.skin
@@ -189,8 +214,8 @@ class NeighborListFill:
     @ti.func
     def _can_cross(self, position, skin):
         """True if a particle can cross a sheared face before the next rebuild; it is an image for others then."""
-        low, high = self.plan.domain_low[self.gradient], self.plan.domain_high[self.gradient]
-        return position[self.gradient] < low + skin or position[self.gradient] > high - skin
+        low, high, coordinate = self.domain_low(), self.domain_high(), position[self.gradient]
+        return coordinate < low[self.gradient] + skin or coordinate > high[self.gradient] - skin
 
     @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
@@ -199,12 +224,11 @@ class NeighborListFill:
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
         list_end, i = list_index, owner.i
-        first, last = owner.chunk * self.plan.chunk_size, (owner.chunk + 1) * self.plan.chunk_size
         # A half list within a chunk, a full list across chunks: no two workers write to the same particle.
-        if j > i or j < first or j >= last:
+        if j > i or j < owner.first or j >= owner.end:
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
-            reach = self.particles.radius[i] + self.particles.radius[j]
+            reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
             reach += self.particles.reach[i] + self.particles.reach[j]
             is_nearest_image = True
             if ti.static(self.sheared):

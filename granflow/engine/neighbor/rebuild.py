@@ -2,19 +2,33 @@
 
 from collections.abc import Callable
 
-import taichi as ti
-
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cell_sort import bounds_phase, class_phases, sort_phases
 from granflow.engine.neighbor.deletion import find_farthest
-from granflow.engine.neighbor.neighbor_list import fill_phase
+from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild
 from granflow.engine.neighbor.reorder import reorder_phases
 from granflow.engine.neighbor.saved_history import build_save_history
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
+from granflow.kernel_language import ti
 from granflow.plan.capacities import REACH_STEPS, list_capacity_for
+
+
+class RebuildKernel:
+    """The kernel of a rebuild.
+
+    launch:  see `build_rebuild`
+    fill:    number of the phase that fills the lists
+    """
+
+    def __init__(self, state: State) -> None:
+        phases = [*_chunk_phases(state), bounds_phase(state), *sort_phases(state), *reorder_phases(state)]
+        if state.cell_sort.class_order is not None:
+            phases += class_phases(state)
+        self.fill = len(phases)
+        self.launch = build_rebuild(state, [*phases, fill_phase(state)])
 
 
 class NeighborListRebuild:
@@ -23,21 +37,17 @@ class NeighborListRebuild:
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
                  deleted
-    grow:        increases the list capacity per chunk to at least a number of entries and compiles all kernels again
+    grow:        increases the list entries per chunk, and the batch, to at least these numbers and compiles all kernels
+                 again
     """
 
-    def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int], None]) -> None:
+    def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]) -> None:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
 
     def compile(self) -> None:
-        """Compile the kernel by launching it on an empty range."""
-        state = self._state
-        phases = [*_chunk_phases(state), bounds_phase(state), *sort_phases(state), *reorder_phases(state)]
-        if state.cell_sort.class_order is not None:
-            phases += class_phases(state)
-        self._fill = len(phases)
-        self._launch = build_rebuild(state, [*phases, fill_phase(state)])
-        self._launch(1, self._fill, 0, 0.0, 0.0, 0.0, 0)
+        """Compile the kernel, unless the state has it, by launching it on an empty range."""
+        self._kernel = self._state.built(RebuildKernel)
+        self._kernel.launch(1, self._kernel.fill, 0, 0.0, 0.0, 0.0, 0)
 
     def run(self, pose: int, workers: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
@@ -47,16 +57,17 @@ class NeighborListRebuild:
         """
         state = self._state
         mark_rebuild(state)  # displacements of walls count from here
-        first, step = 0 if state.count else self._fill, state.clock.time_step
+        first, step = 0 if state.count else self._kernel.fill, state.clock.time_step
         while True:
-            self._launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
+            self._kernel.launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
             control = state.control  # new fields after each growth
             needed = int(control.list_length_needed[0])
-            if first < self._fill and int(control.running[0]) == 0:  # the histories do not fit
-                self._grow(list_capacity_for(needed))
-            elif needed > state.neighbors.list_capacity_per_chunk:
-                self._grow(needed)
-                first = self._fill
+            if first < self._kernel.fill and int(control.running[0]) == 0:  # the histories do not fit
+                self._grow(list_capacity_for(needed), 0)
+            elif needed > state.capacities.list_entries_per_chunk:
+                too_long, length = divmod(needed, TOO_LONG)
+                self._grow(length, length * too_long)
+                first = self._kernel.fill
             else:
                 break
         self._delete()
@@ -82,18 +93,17 @@ def _chunk_phases(state: State) -> list[Phase]:
     Reads:   as `build_wrap` and `build_save_history`
     Writes:  as these; running, list_length_needed
     """
-    plan, control, chunk_size, neighbors = state.plan, state.control, state.plan.chunk_size, state.neighbors
-    wraps, saves = plan.features.periodic != "none", bool(neighbors.history)
+    control, wraps, saves = state.control, state.plan.features.periodic != "none", bool(state.neighbors.history)
     wrap, save_history = build_wrap(state) if wraps else None, build_save_history(state) if saves else None
-    history_capacity = neighbors.history_capacity_per_chunk
+    chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
 
     @ti.func
     def chunk_count(rebuild):
-        return (rebuild.count + chunk_size - 1) // chunk_size
+        return (rebuild.count + chunk_size() - 1) // chunk_size()
 
     @ti.func
     def prepare(chunk, rebuild):
-        first, last = chunk * chunk_size, ti.min((chunk + 1) * chunk_size, rebuild.count)
+        first, last = chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), rebuild.count)
         if ti.static(wraps):
             for i in range(first, last):
                 wrap(chunk, i, rebuild.pose, rebuild.dt)
@@ -103,7 +113,7 @@ def _chunk_phases(state: State) -> list[Phase]:
     @ti.func
     def check_capacity(rebuild):
         if ti.static(saves):
-            if control.list_length_needed[0] > history_capacity:
+            if control.list_length_needed[0] > saved_capacity():
                 control.running[0] = 0
             else:
                 control.list_length_needed[0] = 0

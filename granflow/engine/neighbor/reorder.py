@@ -2,10 +2,10 @@
 
 from typing import Any
 
-import taichi as ti
-
+from granflow.engine.field_block import components
 from granflow.engine.neighbor.phases import Phase, granularity, part_range
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def reorder_phases(state: State) -> list[Phase]:
@@ -19,21 +19,16 @@ def reorder_phases(state: State) -> list[Phase]:
     """
     particles, phases = state.particles, []
     fields = [field for field in particles.sorted_fields() if field is not particles.position]
-    reals = [component for field in fields if field.dtype != ti.i32 for component in _components(field)]
+    reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
     integers = [field for field in fields if field.dtype == ti.i32]
-    buffers = [*_components(particles.force), *(_components(particles.torque) if particles.torque is not None else ())]
-    first = [*zip(_components(particles.position), _components(particles.position_at_rebuild), strict=True)]
+    buffers = [*components(particles.force), *(components(particles.torque) if particles.torque is not None else ())]
+    first = [*zip(components(particles.position), components(particles.position_at_rebuild), strict=True)]
     while reals or integers:
         pairs = [*first, *zip(reals, buffers, strict=False)]
         pairs += zip(integers, [particles.coordination_number], strict=False)
         reals, integers, first = reals[len(buffers) :], integers[1:], []
         phases += _copy_phases(state, pairs)
     return phases
-
-
-def _components(field: Any) -> list[Any]:
-    """Scalar fields of the components."""
-    return [field.get_scalar_field(k) for k in range(field.n)] if isinstance(field, ti.MatrixField) else [field]
 
 
 def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-import taichi as ti
-
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 
 
 def build_save_history(state: State) -> Any:
@@ -17,7 +16,7 @@ def build_save_history(state: State) -> Any:
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
     neighbors, names = state.neighbors, list(state.neighbors.history)
-    history_capacity = neighbors.history_capacity_per_chunk
+    saved_capacity = state.parameter("saved_capacity")
 
     @ti.func
     def save_entry(list_index, saved_index):
@@ -27,16 +26,17 @@ def build_save_history(state: State) -> Any:
 
     @ti.func
     def save_history(chunk, first, last):
-        saved_index = chunk * history_capacity
+        begin = chunk * saved_capacity()
+        limit, saved_index = begin + saved_capacity(), begin
         for i in range(first, last):
             neighbors.list_begin_before[i] = saved_index
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 if neighbors.in_contact[list_index] == 1:
-                    if saved_index < (chunk + 1) * history_capacity:
+                    if saved_index < limit:
                         save_entry(list_index, saved_index)
                     saved_index += 1
             neighbors.list_end_before[i] = saved_index
-        ti.atomic_max(state.control.list_length_needed[0], saved_index - chunk * history_capacity)
+        ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
 
     return save_history
 
@@ -49,7 +49,7 @@ def build_restore_history(state: State) -> Any:
     Reads:   order, saved, partner_saved
     Writes:  history, in_contact
     """
-    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.plan.chunk_size
+    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
     names = list(neighbors.history)
     is_vector = {
         name: [each.size > 1 for each in state.plan.laws.history[name] for _ in range(each.size)] for name in names
@@ -72,7 +72,7 @@ def build_restore_history(state: State) -> Any:
             j_before = sorting.order[j]
         source = find_saved(i_before, j_before)
         sign = 1.0
-        if source < 0 and j >= 0 and i_before // chunk_size == j_before // chunk_size:
+        if source < 0 and j >= 0 and i_before // chunk_size() == j_before // chunk_size():
             source = find_saved(j_before, i_before)
             sign = -1.0
         neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)

@@ -9,9 +9,8 @@ can leave, a launch also ends if the thread pool of Taichi has fewer threads tha
 import time
 from collections.abc import Callable
 
-import taichi as ti
-
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, Control
+from granflow.kernel_language import ti
 
 ARRIVAL_BITS = 16
 LEAVE, ARRIVALS = 1 << ARRIVAL_BITS, (1 << ARRIVAL_BITS) - 1

@@ -10,13 +10,17 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 
 from granflow.geometry.mesh.obj_file import read_obj
 from granflow.io.regular_files import FormatError, read_regular
+from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_reader import read_vtu
+
+if TYPE_CHECKING:
+    from meshio import Mesh
 
 LARGEST_FILE = 256 * 2**20
 """Maximum size of a mesh file in bytes; reading a file of this size takes seconds."""
@@ -104,9 +108,11 @@ def _binary_stl(raw: bytes) -> RawTriangles:
     return RawTriangles(points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
+def _by_meshio(path: Path, kind: str) -> "Mesh":
     """Read a file with meshio; every exception of meshio becomes a FormatError."""
-    read: Callable[[Path], meshio.Mesh] = getattr(meshio, kind).read
+    import meshio
+
+    read: Callable[[Path], Mesh] = getattr(meshio, kind).read
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -117,7 +123,7 @@ def _by_meshio(path: Path, kind: str) -> meshio.Mesh:
         raise FormatError(f"cannot be read as {kind.upper()}: {reason}") from None
 
 
-def _raw_triangles(mesh: meshio.Mesh) -> RawTriangles:
+def _raw_triangles(mesh: "Mesh | VtuMesh") -> RawTriangles:
     """Triangles and split quadrilaterals of a mesh; 2-D points get z = 0. Raises FormatError for other cells."""
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim == 2 and points.shape[1] == 2:

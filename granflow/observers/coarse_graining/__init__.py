@@ -1,1 +1,4 @@
-"""Coarse graining: continuous fields on a grid from particles and contacts (formulas: docs/coarse_graining.md)."""
+"""Coarse graining: continuous fields on a grid from particles and contacts.
+
+Formulas: docs/pages/guides/coarse_graining.md.
+"""

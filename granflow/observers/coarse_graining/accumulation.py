@@ -7,7 +7,7 @@ the contact point on a wall; W: kernel; L: its mean along the branch vector.
     density rho = sum m W         momentum rho V = sum m v W         contact stress = sum f b L
     kinetic stress = -sum m (v - V)(v - V) W = rho V V - sum m v v W
 
-Stresses are positive in tension. All formulas: docs/coarse_graining.md.
+Stresses are positive in tension. All formulas: docs/pages/guides/coarse_graining.md.
 """
 
 from collections.abc import Mapping

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 
 from granflow.fields import FIELD_QUANTITIES
+from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import CheckpointError
-from granflow.io.frames import write_vtu
+from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_writer import write_vtu
 from granflow.observers.base import CONTACTS, PARTICLES
 from granflow.observers.coarse_graining.accumulation import CONTACT_FIELDS, AccumulatedFields, accumulate, fields_from
 from granflow.observers.coarse_graining.field_grid import CoarseGrid
@@ -35,9 +36,10 @@ class FieldFrames(Frames):
         kernel: GaussianKernel,
         quantities: Sequence[str] = tuple(FIELD_QUANTITIES),
         stages: Sequence[str] = (),
+        writer: BackgroundWriter | None = None,
     ) -> None:
         self.stem = f"fields_{name}"
-        super().__init__(directory, interval)
+        super().__init__(directory, interval, writer=writer)
         with_contacts = not set(CONTACT_FIELDS).isdisjoint(quantities)
         self.wants = frozenset({PARTICLES, CONTACTS} if with_contacts else {PARTICLES})
         self.grid, self.kernel = grid, kernel
@@ -52,7 +54,7 @@ class FieldFrames(Frames):
         else:
             super().observe(snapshot)
 
-    def mesh(self, snapshot: Snapshot) -> meshio.Mesh:
+    def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame and add it to the mean."""
         contacts = snapshot.contacts if CONTACTS in self.wants else None
         accumulated = accumulate(snapshot.particles, contacts, self.grid, self.kernel)
@@ -81,7 +83,7 @@ class FieldFrames(Frames):
         self._accumulated = AccumulatedFields(dict(saved["total"])) if saved["total"] else None
         self._count = saved["count"]
 
-    def _mesh_of(self, accumulated: AccumulatedFields) -> meshio.Mesh:
+    def _mesh_of(self, accumulated: AccumulatedFields) -> VtuMesh:
         fields = fields_from(accumulated)
         arrays: dict[str, np.ndarray] = {
             name: FIELD_QUANTITIES[name].for_file(fields[name]) for name in self._quantities

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import meshio
 import numpy as np
 
 from granflow.geometry.periodic_box import AXES
-from granflow.io.frames import mesh_of_cells
+from granflow.io.vtu_mesh import VtuMesh
 from granflow.observers.coarse_graining.kernel import GaussianKernel
 from granflow.scene.schema.analysis import GridSpec
 from granflow.scene.schema.domain import Domain
@@ -87,7 +86,7 @@ class CoarseGrid:
         inside = ((index >= 0) & (index < self.counts)).all(axis=1)
         return index @ np.array([1, self.counts[0], self.counts[0] * self.counts[1]]), inside
 
-    def mesh(self, arrays: dict[str, np.ndarray]) -> meshio.Mesh:
+    def mesh(self, arrays: dict[str, np.ndarray]) -> VtuMesh:
         """Return a mesh of hexahedra with cell arrays (cells,) or (cells, k), in the order of the cell indices."""
         nx, ny, nz = self.counts
         axes = [np.linspace(low, high, n + 1) for low, high, n in zip(self.low, self.high, self.counts, strict=True)]
@@ -95,7 +94,7 @@ class CoarseGrid:
         points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
         k, j, i = (part.ravel() for part in np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij"))
         corners = [(i + a) + (nx + 1) * ((j + b) + (ny + 1) * (k + c)) for a, b, c in CORNERS]
-        return mesh_of_cells("hexahedron", points, np.stack(corners, axis=1), arrays)
+        return VtuMesh.of_cells("hexahedron", points, np.stack(corners, axis=1), arrays)
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:

@@ -1,1 +1,1 @@
-"""Metrics of a bed: mixing, angle of repose, fabric, coordination (formulas: docs/coarse_graining.md)."""
+"""Metrics of a bed: mixing, angle of repose, fabric, coordination (formulas: docs/pages/guides/coarse_graining.md)."""

@@ -9,16 +9,28 @@ from granflow.observers.coarse_graining.field_grid import CoarseGrid, grid_for
 from granflow.observers.metrics.meter import MetricMeter
 from granflow.observers.metrics.mixing import lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
-from granflow.observers.metrics.structure import anisotropy, coordination, fabric_tensor
-from granflow.observers.particle_selection import mobile_particles, selected
+from granflow.observers.metrics.structure import (
+    MIN_CONTACTS,
+    anisotropy,
+    center_of_mass,
+    coordination,
+    fabric_tensor,
+    sliding_share,
+)
+from granflow.observers.particle_selection import mobile_particles, selected, wall_contacts
 from granflow.particles.regions import frame_along
 from granflow.plan.plan import Plan
-from granflow.scene.schema.analysis import ContentMetric, CoordinationMetric, FabricMetric, LaceyMetric, ReposeMetric
+from granflow.scene.schema.analysis import (
+    CenterOfMassMetric,
+    ContentMetric,
+    CoordinationMetric,
+    FabricMetric,
+    LaceyMetric,
+    ReposeMetric,
+    SlidingMetric,
+)
 from granflow.scene.schema.shapes import Box
 from granflow.snapshot import Snapshot
-
-MIN_HEAP_CONTACTS = 2
-"""Smallest number of contacts of a particle in a heap: a particle that rolls away on the floor has one."""
 
 COLUMN_WIDTH = 2.0
 """Edge of the columns in which the surface of a heap is determined, in largest diameters."""
@@ -32,7 +44,14 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
 
 
 def _metric_meter(
-    plan: Plan, spec: LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric
+    plan: Plan,
+    spec: LaceyMetric
+    | ReposeMetric
+    | FabricMetric
+    | CoordinationMetric
+    | ContentMetric
+    | CenterOfMassMetric
+    | SlidingMetric,
 ) -> MetricMeter:
     """Return the meter of one metric; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
@@ -43,6 +62,12 @@ def _metric_meter(
         return MetricMeter(lambda snapshot: _fabric(snapshot, spec.region), NEEDS_CONTACTS)
     if isinstance(spec, ContentMetric):
         return MetricMeter(lambda snapshot: _content(snapshot, spec.region), NEEDS_PARTICLES)
+    if isinstance(spec, CenterOfMassMetric):
+        return _center_of_mass_meter(plan, spec)
+    if isinstance(spec, SlidingMetric):
+        names = [wall.name for wall in plan.walls]
+        walls = None if spec.walls is None else [names.index(name) for name in spec.walls]
+        return MetricMeter(lambda snapshot: sliding_share(snapshot.contacts or {}, walls), NEEDS_CONTACTS)
     return MetricMeter(lambda snapshot: _coordination(snapshot, spec.region), NEEDS_PARTICLES)
 
 
@@ -63,10 +88,23 @@ def _lacey_metric_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
     return MetricMeter(measure, NEEDS_PARTICLES)
 
 
+def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
+    """Return a meter of the center of mass [m] of the mobile particles of the given groups, by default of all."""
+    names = [group.name for group in plan.groups]
+    groups = [names.index(name) for name in spec.groups or names]
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        own = np.isin(particles["group"], groups)
+        return center_of_mass(particles["position"][own], particles["mass"][own])
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
 def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
     """Return a meter of the angle of repose [rad]; the vertical is opposite to gravity, also if gravity is inclined.
 
-    Particles with fewer than MIN_HEAP_CONTACTS contacts are not part of the heap.
+    Particles with fewer than MIN_CONTACTS contacts are not part of the heap: one that rolls away on the floor has one.
     """
     upwards = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
     frame = frame_along(upwards)
@@ -75,8 +113,8 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
         particles = mobile_particles(snapshot.particles)
-        in_heap = (particles["coordination_number"] >= MIN_HEAP_CONTACTS) & _inside(particles["position"], spec.region)
-        heap = selected(particles, in_heap)
+        contacts = particles["coordination_number"] + wall_contacts(particles)
+        heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], spec.region))
         points = heap["position"].astype(float) @ frame.T
         if spec.surface == "cone":
             slope = slope_of_cone(points, heap["radius"], edge, axis)
@@ -99,7 +137,8 @@ def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
 def _coordination(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
     """Return the coordination numbers of the mobile particles with centers inside the region."""
     particles = mobile_particles(snapshot.particles)
-    return coordination(particles["coordination_number"][_inside(particles["position"], region)])
+    inside = _inside(particles["position"], region)
+    return coordination(particles["coordination_number"][inside], wall_contacts(particles)[inside])
 
 
 def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:

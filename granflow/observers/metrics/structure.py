@@ -1,28 +1,51 @@
-"""Contact network of a bed: number of contacts per particle, and their orientation."""
+"""Structure of a bed: center of mass, number of contacts per particle, their orientation and sliding."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
+MIN_CONTACTS = 2
+"""Smallest number of contacts, with particles and walls, of a particle that carries a load."""
 
-def coordination(contacts_of_each: np.ndarray) -> dict[str, float]:
+
+def coordination(with_particles: np.ndarray, with_walls: np.ndarray) -> dict[str, float]:
     """Return the mean number of contacts per particle, with and without rattlers, and the share of rattlers.
 
-        Zm = (sum Z_i - N1) / (N - N0 - N1)
+        Zm = (sum Z_i) / (N - N0 - N1)       over the particles with at least two contacts
 
-    `contacts_of_each` (n,): number of contacts Z_i of each particle. Rattlers carry no load: N0 have no contact and N1
-    have one contact, which is not counted. NaN without particles, Zm also without particles that carry a load.
-    (C. Thornton, Geotechnique 50 (2000) 43.)
+    `with_particles`, `with_walls` (n,): number of contacts of each particle. Rattlers carry no load: N0 have no contact
+    and N1 have one, of either kind. Z and Zm count contacts with particles only, so that they do not depend on the size
+    of the container. NaN without particles, Zm also without particles that carry a load. (C. Thornton, Geotechnique 50
+    (2000) 43, for a periodic box.)
     """
-    count = len(contacts_of_each)
-    none, one = (int((contacts_of_each == number).sum()) for number in (0, 1))
-    carrying = count - none - one
-    total = float(contacts_of_each.sum())
+    count, carries = len(with_particles), with_particles + with_walls >= MIN_CONTACTS
     return {
-        "coordination_number": total / count if count else float("nan"),
-        "mechanical_coordination_number": (total - one) / carrying if carrying else float("nan"),
-        "rattler_share": (none + one) / count if count else float("nan"),
+        "coordination_number": _mean(with_particles),
+        "mechanical_coordination_number": _mean(with_particles[carries]),
+        "wall_coordination_number": _mean(with_walls),
+        "rattler_share": 1.0 - carries.sum() / count if count else float("nan"),
     }
+
+
+def center_of_mass(position: np.ndarray, mass: np.ndarray) -> dict[str, float]:
+    """Return the center of mass [m] of particles at `position` (n, 3) [m] with `mass` (n,) [kg]; NaN without any."""
+    total = float(mass.sum())
+    center = mass.astype(float) @ position.astype(float) / total if total else np.full(3, np.nan)
+    return {f"center_of_mass_{axis}": float(center[k]) for k, axis in enumerate("xyz")}
+
+
+def sliding_share(contacts: Mapping[str, np.ndarray], walls: Collection[int] | None) -> dict[str, float]:
+    """Return the share of contacts whose friction force is at the Coulomb limit; NaN without contacts.
+
+    `contacts`: arrays `wall` and `sliding` (n,); `walls`: numbers of the walls in the scene, or None for the contacts
+    between particles.
+    """
+    selected = contacts["wall"] < 0 if walls is None else np.isin(contacts["wall"], list(walls))
+    return {"sliding_share": _mean(contacts["sliding"][selected])}
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def fabric_tensor(contacts: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -12,7 +12,14 @@ from granflow.fields import (
 )
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
-from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND, GridSpec, LaceyMetric, ReposeMetric
+from granflow.scene.schema.analysis import (
+    METRIC_QUANTITIES_BY_KIND,
+    CenterOfMassMetric,
+    GridSpec,
+    LaceyMetric,
+    ReposeMetric,
+    SlidingMetric,
+)
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.fields import Fault, whole
 from granflow.scene.schema.insertion import TimedInsertion
@@ -36,13 +43,17 @@ def field_grids(parts: PartialScene) -> Iterator[Fault]:
 
 
 def metrics(parts: PartialScene) -> Iterator[Fault]:
-    """Metrics must refer to existing groups and materials; an angle of repose requires gravity."""
+    """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
     for name, metric in parts.scene.output.metrics.items():
         path: KeyPath = ("output", "metrics", name)
         if isinstance(metric, LaceyMetric):
             yield from _cells(parts.scene.domain, path, metric)
             yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
             yield from _unknown_names((*path, "materials"), metric.materials, parts.names("materials"), "material")
+        if isinstance(metric, CenterOfMassMetric):
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+        if isinstance(metric, SlidingMetric):
+            yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
         if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
             yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
 

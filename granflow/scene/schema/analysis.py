@@ -50,7 +50,8 @@ class GridSpec(Model):
 class FieldGrid(GridSpec):
     """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
 
-    Fields of contacts (stress, pressure, fabric) require the contacts of each frame. Formulas: docs/coarse_graining.md.
+    Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
+    Formulas: docs/pages/guides/coarse_graining.md.
     """
 
     width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
@@ -125,7 +126,7 @@ class FabricMetric(Model):
 
 
 class CoordinationMetric(Model):
-    """Coordination number with and without rattlers, particles with fewer than two contacts.
+    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with walls.
 
     (C. Thornton, Geotechnique 50 (2000) 43.)
     """
@@ -141,8 +142,25 @@ class ContentMetric(Model):
     region: Box = Field(description="box whose particles are counted")
 
 
+class CenterOfMassMetric(Model):
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions."""
+
+    kind: Literal["center_of_mass"] = Field(description="kind of metric")
+    groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
+
+
+class SlidingMetric(Model):
+    """Share of the contacts whose friction force is at the Coulomb limit."""
+
+    kind: Literal["sliding"] = Field(description="kind of metric")
+    walls: Names | None = Field(
+        None, description="walls whose contacts are evaluated; default: the contacts between particles"
+    )
+
+
 AnyMetric = Annotated[
-    LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric, choose_by_key("kind")
+    LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric | CenterOfMassMetric | SlidingMetric,
+    choose_by_key("kind"),
 ]
 """Any kind of metric; the key `kind` selects it."""
 
@@ -151,6 +169,13 @@ METRIC_QUANTITIES_BY_KIND = {
     "lacey": ("lacey_index",),
     "repose": ("angle_of_repose", "angle_of_repose_error"),
     "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
-    "coordination": ("coordination_number", "mechanical_coordination_number", "rattler_share"),
+    "coordination": (
+        "coordination_number",
+        "mechanical_coordination_number",
+        "wall_coordination_number",
+        "rattler_share",
+    ),
+    "center_of_mass": ("center_of_mass_x", "center_of_mass_y", "center_of_mass_z"),
+    "sliding": ("sliding_share",),
 }
 """Quantities of each kind of metric; each also has a time average, NAME_mean."""

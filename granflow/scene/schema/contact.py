@@ -67,11 +67,10 @@ _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 
 
 def use_registry() -> None:
-    """Set the schema of `contact` to the registered models. Models that contain it must be rebuilt afterwards."""
+    """Set the fields of `contact` to the registered models; a schema that is built must be rebuilt afterwards."""
     for slot in SLOTS:
         annotation, field = _normal() if slot == "normal" else _slot(slot)
         Contact.__pydantic_fields__[slot] = FieldInfo.from_annotated_attribute(annotation, field)
-    Contact.model_rebuild(force=True)
 
 
 def _normal() -> tuple[Any, Any]:

@@ -32,7 +32,7 @@ class Fault:
 class Model(BaseModel):
     """A part of a scene: immutable; unknown keys are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, defer_build=True)
 
     def faults(self) -> Iterator[Fault]:
         """Yield inconsistencies between the fields of this part; each field by itself is valid."""

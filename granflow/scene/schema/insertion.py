@@ -146,6 +146,7 @@ class FileSummary(Model):
     speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
     angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
     overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
+    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
 
 
 class FileInsertion(Model):

@@ -129,7 +129,10 @@ class MaterialPair(Model):
 
 
 def use_registry() -> None:
-    """Add the keys that registered contact models require of `pairs`, except those that every pair has."""
+    """Add the keys that registered contact models require of `pairs`, except those that every pair has.
+
+    A schema that is built must be rebuilt afterwards.
+    """
     fields = MaterialPair.__pydantic_fields__
     for key in [key for key in fields if key not in MaterialPair.__annotations__]:
         del fields[key]
@@ -143,7 +146,6 @@ def use_registry() -> None:
             )
             field = Field(None, description=f"{amount.description}; required with {needed}")
             fields[key] = FieldInfo.from_annotated_attribute(annotation, field)
-    MaterialPair.model_rebuild(force=True)
 
 
 use_registry()

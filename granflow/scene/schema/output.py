@@ -74,4 +74,4 @@ class Output(Model):
     flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
-    checkpoint: Checkpoints = Field(Checkpoints(), description="interval and number of checkpoints")
+    checkpoint: Checkpoints = Field(Checkpoints.model_construct(), description="interval and number of checkpoints")

@@ -64,8 +64,8 @@ class SceneInput(Model):
     )
     domain: Domain = Field(description="the simulated box")
     stages: Annotated[tuple[Stage, ...], ListOf()] = Field((), description="stages of the run, in order")
-    run: RunSettings = Field(RunSettings(), description="duration, time step and precision")
-    numerics: Numerics = Field(Numerics(), description="numerical parameters, all with defaults")
+    run: RunSettings = Field(RunSettings.model_construct(), description="duration, time step and precision")
+    numerics: Numerics = Field(Numerics.model_construct(), description="numerical parameters, all with defaults")
     output: Output = Field(description="selection and intervals of the output")
     expect: Annotated[tuple[ExpectationSpec, ...], ListOf()] = Field(
         (), description="expectations for the results of the finished run"
@@ -127,7 +127,8 @@ class SceneInput(Model):
 
     def text(self) -> str:
         """The resolved scene as YAML with all defaults, in SI units; the text loads to an equal scene."""
-        return to_yaml(self.model_dump(by_alias=True, exclude_none=True))
+        # The serializer of this class: a subclass, which has the same fields, would build another one.
+        return to_yaml(SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True))
 
     def is_given(self, *key_path: str | int) -> bool:
         """Whether the file or an override gives this key; False for values from a default or a preset.

@@ -57,9 +57,21 @@ DIMENSIONS: dict[str, Dimension] = {
     "density": Dimension(
         "a density", "2500 kg/m3", _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3")
     ),
-    "energy": Dimension("an energy", "1 nJ", _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12")),
+    "energy": Dimension(
+        "an energy",
+        "1 nJ",
+        _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12, aJ 1e-18, zJ 1e-21"),
+    ),
     "energy_density": Dimension(
         "an energy density", "1e4 J/m3", _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6")
+    ),
+    "surface_energy": Dimension(
+        "a surface energy", "50 mJ/m2", _unit_table("J/m2 1, J/m^2 1, J/m² 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3")
+    ),
+    "volume": Dimension(
+        "a volume",
+        "10 nl",
+        _unit_table("m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15"),
     ),
     "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),

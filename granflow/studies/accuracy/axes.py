@@ -81,7 +81,7 @@ STUDIED_LAWS = (
 
 
 INTEGRATOR = "leapfrog"
-"""The only time integration scheme; docs/accuracy.md compares it with alternatives."""
+"""The only time integration scheme; docs/pages/explanation/accuracy.md compares it with alternatives."""
 
 
 def reference_case() -> PaperCase:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-import meshio
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.regular_files import open_regular
+from granflow.io.regular_files import FormatError, open_regular
+from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_reader import read_vtu
 from granflow.scene.schema.units import UnitError, to_si
 from granflow.studies.report.record import require_directory
@@ -192,11 +192,9 @@ def is_empty(path: Path) -> bool:
         return EMPTY in file.read(HEADER_SIZE)
 
 
-def read_mesh(path: Path) -> meshio.Mesh:
+def read_mesh(path: Path) -> VtuMesh:
     """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
     try:
-        if is_empty(path):  # meshio cannot read empty files
-            return meshio.Mesh(np.zeros((0, 3)), [])
         return read_vtu(path, LARGEST_FRAME)
-    except (Exception, SystemExit) as error:  # a truncated file raises various exceptions; meshio may call sys.exit
+    except (FormatError, OSError) as error:
         raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None

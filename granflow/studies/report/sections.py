@@ -133,7 +133,7 @@ def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
         if title == OTHERS and zero_columns:
             sentences.append(f"Always zero: {', '.join(zero_columns)}.")
         if title == ENERGIES and tables[ENERGIES] and error is not None:
-            sentences.append(f"Energy error: {error:.3g} of the largest energy input (docs/energy.md).")
+            sentences.append(f"Energy error: {error:.3g} of the largest energy input.")
         columns = [column for column in series.columns if topic_of(column) == title and not is_zero(column)]
         if columns and not with_plots:
             sentences.append(NO_LIBRARY)

@@ -122,14 +122,14 @@ def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
     return [each[0] for each in columns]
 
 
-def thinned(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a curve to at most MOST_POINTS points, keeping all peaks: minimum and maximum of each interval.
+def thinned(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Reduce a curve to at most `most` points, keeping all peaks: minimum and maximum of each interval.
 
     `time`, `values` (n,); values that are not finite are dropped.
     """
     finite = np.flatnonzero(np.isfinite(values))
-    if len(finite) > MOST_POINTS:
-        parts = np.array_split(finite[1:-1], MOST_POINTS // 2 - 1)
+    if len(finite) > most:
+        parts = np.array_split(finite[1:-1], most // 2 - 1)
         ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
         finite = np.unique([finite[0], *ends, finite[-1]])
     return time[finite], values[finite]

@@ -1,0 +1,79 @@
+"""The verbs examples and example: list the shipped scenes, and copy one with its input files."""
+
+import argparse
+import shutil
+from filecmp import cmp
+from pathlib import Path
+from typing import Any
+
+from granflow.cli.arguments import add_verb
+from granflow.cli.messages import say
+from granflow.errors import GranflowError
+
+
+def examples(options: argparse.Namespace) -> int:
+    """`granflow examples`: list the names and titles of the shipped scenes."""
+    from granflow.scene.yaml12 import parse
+
+    paths = scene_paths()
+    width = max(map(len, paths))
+    for name, path in paths.items():
+        title = parse(path.read_text(encoding="utf-8"), str(path), with_positions=False).find(("title",))
+        say(f"{name:{width}}  {title.scalar if title else ''}")
+    return 0
+
+
+def example(options: argparse.Namespace) -> int:
+    """`granflow example NAME`: copy a shipped scene and its input files.
+
+    Returns 0. Raises GranflowError for an unknown name, and for a file that exists with other contents.
+    """
+    from granflow.load import load
+    from granflow.runs.input_copies import input_files
+
+    source = path_of(options.name)
+    inputs = [path for _, path in input_files(load(source))]
+    targets = {path: options.out / path.relative_to(source.parent) for path in (source, *inputs)}
+    for path, target in targets.items():
+        if target.exists() and not cmp(path, target, shallow=False):
+            raise GranflowError(
+                f"{target} exists with other contents: remove it, or give another directory with --out."
+            )
+    for path, target in targets.items():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+        say(str(target))
+    say(f"Run it with granflow run {targets[source]}")
+    return 0
+
+
+def path_of(name: str) -> Path:
+    """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown name."""
+    from granflow.scene.suggest import suggestion_or_list
+
+    paths = scene_paths()
+    known = name.removesuffix(".yaml")
+    if known not in paths:
+        raise GranflowError(f"{name} is not one of the shipped scenes. {suggestion_or_list(known, paths, 'scenes')}")
+    return paths[known]
+
+
+def scene_paths() -> dict[str, Path]:
+    """Paths of the shipped scenes by name; in a wheel they are in the package, in a clone beside it."""
+    package = Path(__file__).resolve().parents[1]
+    folder = package / "scenes" if (package / "scenes").is_dir() else package.parent / "scenes"
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(folder.rglob("*.yaml"))}
+
+
+def add_examples(verbs: Any) -> None:
+    """Add `granflow examples`."""
+    add_verb(verbs, examples, "list the scenes that are part of the package")
+
+
+def add_example(verbs: Any) -> None:
+    """Add `granflow example` and its arguments."""
+    parser = add_verb(verbs, example, "copy a scene that is part of the package, with its meshes and particle files")
+    parser.add_argument("name", metavar="NAME", help="name of the scene, such as hopper")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(), help="directory of the copies (default: working directory)"
+    )

@@ -1,0 +1,140 @@
+"""Capillary bridges of constant liquid volume (Willett et al. 2000), from first touch to the rupture distance.
+
+    F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R        (Willett et al. 2000, Eq. 12)
+    s_c = (1 + t/2) V^(1/3)                                                             (Lian, Thornton & Adams 1993)
+
+R is the effective radius, so that r is the radius of equal spheres, and twice that of a sphere at a wall. The distance
+between the surfaces is s, 0 during overlap; V is the volume, g the surface tension, t the contact angle.
+"""
+
+import math
+from dataclasses import dataclass
+
+from granflow.contact.cohesion.bond import BondLaw
+from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.options import Amount, PairOption
+from granflow.device_functions import ti
+
+LINEAR, SQUARE = 1.05, 2.5
+"""Coefficients of u and u^2 in the force (Willett 2000)."""
+ROOT = math.sqrt(4.0 * SQUARE - LINEAR**2)
+"""Square root of minus the discriminant of the denominator, for its integral."""
+
+
+HALVINGS, SERIES = 3, 12
+"""Halvings of an angle below pi/2, so that its tangent is below 0.2, and terms of the series: the next is 1e-18."""
+
+
+@ti.func
+def arctangent(x):
+    """atan(x) for x >= 0 from + - * / sqrt, which every backend has in f64.
+
+    atan(x) = 2 atan(x / (1 + sqrt(1 + x^2))),   atan(x) = x - x^3/3 + x^5/5 - ...
+    """
+    half = x
+    for _ in ti.static(range(HALVINGS)):
+        half = half / (1.0 + ti.sqrt(1.0 + half * half))
+    square, series = half * half, 0.0 * x
+    for n in ti.static(range(SERIES, -1, -1)):
+        series = 1.0 / (2 * n + 1) - square * series
+    return 2.0**HALVINGS * half * series
+
+
+@dataclass(frozen=True)
+class Capillary(BondLaw):
+    """Every contact has a liquid bridge of the volume of its pair."""
+
+    name = "capillary"
+    source = "Willett et al. 2000, Langmuir 16:9396, doi 10.1021/la000657y; Lian, Thornton & Adams 1993, JCIS 161:138"
+    limits = (
+        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; each pair of materials has one "
+        "volume, liquid is neither shared nor lost, and the viscous force of the liquid is neglected"
+    )
+    constant_names = ("tension", "volume", "distance")
+    """Surface tension times cosine of the contact angle [N/m], liquid volume [m3], rupture distance [m]."""
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Capillary":
+        """The law that a scene requests."""
+        return cls(max(_rupture_distance(pair) for pair in request.pairs), request.energy_budget)
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`; a pair without liquid has no tension."""
+        volume = pair.options["liquid_volume"]
+        if volume == 0.0:
+            return 0.0, 1.0, 0.0
+        tension = pair.options["surface_tension"] * math.cos(pair.options["contact_angle"])
+        return tension, volume, _rupture_distance(pair)
+
+    @ti.func
+    def rupture_distance(self, constants, contact):
+        """Rupture distance [m] of Lian et al. (1993)."""
+        return constants.distance
+
+    @ti.func
+    def bond_attraction(self, constants, contact):
+        """Capillary force [N]."""
+        u = ti.max(-contact.overlap, 0.0) * ti.sqrt(2.0 * contact.radius_eff / constants.volume)
+        return 4.0 * math.pi * contact.radius_eff * constants.tension / (1.0 + LINEAR * u + SQUARE * u * u)
+
+    @ti.func
+    def bond_energy(self, constants, contact):
+        """Minus the work from the present distance to rupture, and the work of the overlap [J].
+
+        The integral of 1 / (1 + b u + c u^2) is 2 / q atan((2 c u + b) / q),   q^2 = 4 c - b^2
+        """
+        scale = ti.sqrt(2.0 * contact.radius_eff / constants.volume)
+        here = (2.0 * SQUARE * ti.max(-contact.overlap, 0.0) * scale + LINEAR) / ROOT
+        end = (2.0 * SQUARE * constants.distance * scale + LINEAR) / ROOT
+        # the difference of two arctangents as one, without cancellation
+        distance = 2.0 / ROOT * arctangent((end - here) / (1.0 + end * here)) / scale + ti.max(contact.overlap, 0.0)
+        return -4.0 * math.pi * contact.radius_eff * constants.tension * distance
+
+    def reference_bond(self, contact: ContactState) -> tuple[float, float]:
+        """Attraction and rupture distance, with half the distance S and the volume in units of r as in the paper.
+
+        F / (2 pi r g) = cos(t) / (1 + 2.1 S / sqrt(V) + 10 S^2 / V)
+        """
+        constants, radius = contact.constants, 2.0 * contact.radius_eff
+        half, volume = 0.5 * max(-contact.overlap, 0.0) / radius, constants.volume / radius**3
+        ratio = 1.0 + 2.1 * half / math.sqrt(volume) + 10.0 * half**2 / volume
+        force = 2.0 * math.pi * radius * constants.tension / ratio
+        return force, constants.distance
+
+    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
+        """Largest capillary force [N], at zero distance."""
+        return 4.0 * math.pi * radius_eff * self.pair_constants(pair)[0]
+
+
+def _rupture_distance(pair: PairMaterial) -> float:
+    """Rupture distance [m] (Lian et al. 1993)."""
+    return (1.0 + 0.5 * pair.options["contact_angle"]) * float(pair.options["liquid_volume"] ** (1.0 / 3.0))
+
+
+MODEL = ContactModel(
+    Capillary,
+    "liquid bridges of constant volume from first touch to rupture (Willett et al. 2000)",
+    pair_options=(
+        PairOption(
+            "surface_tension",
+            Amount(
+                "surface tension of the liquid [J/m2], the same as N/m",
+                *("72 mN/m", "surface_energy", "a surface tension"),
+                at_least=0,
+            ),
+            "give it in N/m, or 0 to disable cohesion",
+        ),
+        PairOption(
+            "contact_angle",
+            Amount("contact angle of the liquid [rad]", *("20 deg", "angle", "an angle"), at_least=0, at_most=1.57),
+            "give the angle, or 0 for a liquid that wets completely",
+        ),
+        PairOption(
+            "liquid_volume",
+            Amount("volume of each liquid bridge [m3]", *("10 nl", "volume", "a volume"), at_least=0),
+            "give it in m3, or 0 for a pair without liquid",
+        ),
+    ),
+)

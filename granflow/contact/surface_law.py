@@ -1,0 +1,70 @@
+"""Interfaces of tangential and rolling models.
+
+In addition to the members of `contact` for all models, see `law`, the struct has for the first particle of the pair:
+
+    normal, normal_half  unit normal toward the first particle now, and the mean of the previous and the present normal
+    normal_load          force [N] that presses the surfaces together: normal force without attraction
+    stiffness            no-slip tangential stiffness [N/m]
+    stiffness_ratio      ratio of the previous to the present stiffness
+    slip                 relative tangential displacement in this step [m]; tangential laws
+    rolling_rate         relative angular velocity [rad/s]; rolling laws
+    inertia_eff          effective moment of inertia [kg m2]; rolling laws
+    longest_time_step    longest time step of the run [s]; rolling laws
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from granflow.contact.law import Law
+from granflow.device_functions import ti
+
+SurfaceState: TypeAlias = SimpleNamespace
+"""Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by name."""
+
+
+@dataclass(frozen=True)
+class TangentialLaw(Law):
+    """A tangential contact model."""
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `force`: tangential force [N] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+    @ti.func
+    def present_force(self, constants, contact, history):
+        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
+
+    @ti.func
+    def limit(self, constants, contact):
+        """Largest tangential force [N]."""
+
+
+@dataclass(frozen=True)
+class RollingLaw(Law):
+    """A rolling model. Torques act on the first particle of a pair, the opposite torques on the second."""
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Rolling torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness

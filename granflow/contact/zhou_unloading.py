@@ -1,0 +1,78 @@
+"""Unloading curve of Zhou (2011) and its parameters as device functions; `theory` contains their host forms."""
+
+from granflow.contact.power import exponential, power
+from granflow.contact.substep_corrections import mean_above
+from granflow.device_functions import ti
+
+NEWTON_STEPS = 5
+"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""
+
+
+@ti.func
+def restitution_at(constants, velocity):
+    """Restitution coefficient at an approach velocity [m/s] (Zhou 2011, Eq. 12).
+
+        e(v) = exp(-sigma (v / (vlim - v))^psi)      v < vlim, else 0
+
+    A pair with a constant restitution has the limit velocity 0.
+    """
+    limit = constants.limit_velocity
+    e = constants.restitution
+    if limit > 0.0:
+        e = 0.0
+        if velocity <= 0.0:
+            e = 1.0
+        elif velocity < limit:
+            e = exponential(-constants.sigma * power(velocity / (limit - velocity), constants.psi))
+    return e
+
+
+@ti.func
+def recovery_of(e):
+    """Recovered fraction y of the maximum overlap (Zhou 2011, Eq. 8), by NEWTON_STEPS Newton iterations.
+
+    y = (4/5) e^2 + (1/5) e^3 y^2.5
+    """
+    first = 0.8 * e * e
+    share = 0.2 * e * e * e
+    y = first
+    for _ in ti.static(range(NEWTON_STEPS)):
+        root = y * ti.sqrt(y)
+        y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
+    return y
+
+
+@ti.func
+def least_restitution(k, mass, overlap_max, time_step, angle):
+    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2; not from the paper.
+
+    Device form of `theory.least_restitution`.
+    """
+    return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
+
+
+@ti.func
+def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
+    """Force on the unloading branch [N], zero below the residual overlap.
+
+        F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
+
+    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the particles may
+    separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
+    """
+    above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
+    cube = e * e * e
+    slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+    return stiffness * above * (slope + cube * ti.sqrt(radius * above))
+
+
+@ti.func
+def unloading_energy(k, overlap_max, e, y, overlap):
+    """Energy recovered by unloading from an overlap [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
+    energy = 0.0 * k
+    above = overlap - overlap_max * (1.0 - y)
+    if above > 0.0:
+        cube = e * e * e
+        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+        energy = k * above * above * (0.5 * slope + 0.4 * cube * ti.sqrt(above))
+    return energy

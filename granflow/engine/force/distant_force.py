@@ -1,0 +1,112 @@
+"""Attraction of pairs without overlap, for cohesion models that act at a distance; no other scene compiles it.
+
+Such a pair has no normal, tangential or rolling force. The contact history of the cohesion model is kept until the
+model ends it or the distance exceeds its range; the histories of the other models end with the overlap.
+"""
+
+from typing import Any
+
+from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
+from granflow.engine.force.structs import build_slot_vector
+from granflow.engine.neighbor.contact_history import (
+    IN_CONTACT,
+    build_add_plastic_loss,
+    build_end_contact,
+    build_read_history,
+)
+from granflow.engine.state import State
+from granflow.kernel_language import ti
+
+
+def build_distant_force(state: State, with_wall: bool) -> Any:
+    """Device function (chunk, i, list index, j, overlap, time_step) -> attraction [N] of a pair without overlap.
+
+    with_wall:  True for walls (j < 0), False for particles
+    overlap:    minus the distance of the surfaces [m], above minus the range
+
+    Reads:   radius, mass, history, pair_constants, law_parameters
+    Writes:  history, in_contact, losses
+    """
+    laws, neighbors = state.plan.laws, state.neighbors
+    keeps_history = "cohesion" in neighbors.history
+    vector_of = build_slot_vector(laws, "cohesion") if keeps_history else None
+    read_history, effective, pair_constants = (
+        build_read_history(state),
+        build_effective(state, with_wall),
+        build_pair_constants(state),
+    )
+    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    end_surface_contact = _build_end_surface_contact(state)
+
+    @ti.func
+    def distant_force(chunk, i, list_index, j, overlap, dt):
+        constants, bodies, history = pair_constants(i, j), effective(i, j), read_history(list_index)
+        contact = ti.Struct(
+            radius_eff=bodies.radius_eff,
+            mass_eff=bodies.mass_eff,
+            time_step=dt,
+            overlap=overlap,
+            overlap_rate=0.0 * overlap,
+        )
+        attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
+        is_kept, energy_lost = 0, 0.0 * dt
+        if ti.static(keeps_history):
+            components = vector_of(history_new)
+            neighbors.history["cohesion"][list_index] = components
+            is_kept = ti.cast(components[0] > 0.0, ti.i32)
+        if is_kept == 1:
+            neighbors.in_contact[list_index] = IN_CONTACT
+            energy_lost = end_surface_contact(list_index, constants, bodies, history, dt)
+        else:
+            energy_lost = end_contact(list_index, constants, bodies, dt)
+        add_plastic_loss(chunk, j, energy_lost)
+        return attraction
+
+    return distant_force
+
+
+def _build_end_surface_contact(state: State) -> Any:
+    """Device function (list index, constants, bodies, history, time_step): end the contact of all models but cohesion.
+
+    Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy budget.
+
+    Writes:  history
+    """
+    neighbors, law = state.neighbors, state.plan.laws.normal
+    names, energy_budget = [name for name in neighbors.history if name != "cohesion"], state.plan.features.energy_budget
+
+    @ti.func
+    def end_surface_contact(list_index, constants, bodies, history, dt):
+        energy_lost, nothing = 0.0 * dt, 0.0 * bodies.radius_eff
+        if ti.static("normal" in names and energy_budget):
+            if neighbors.history["normal"][list_index][0] > 0.0:
+                contact = ti.Struct(
+                    radius_eff=bodies.radius_eff,
+                    mass_eff=bodies.mass_eff,
+                    time_step=dt,
+                    overlap=nothing,
+                    overlap_rate=nothing,
+                )
+                energy_lost = law.lost_energy(constants.normal, contact, history.normal)
+        for name in ti.static(names):
+            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+        return energy_lost
+
+    return end_surface_contact
+
+
+def build_in_range(state: State) -> Any:
+    """Device function (i, j, overlap): true if the cohesion model acts at this overlap, which may be negative.
+
+    Reads:  law_parameters
+    """
+    acts_at_distance, pair_constants = state.plan.laws.acts_at_distance, build_pair_constants(state)
+
+    @ti.func
+    def in_range(i, j, overlap):
+        found = overlap > 0.0
+        if ti.static(acts_at_distance):
+            found = overlap > -pair_constants(i, j).cohesion.range
+        return found
+
+    return in_range

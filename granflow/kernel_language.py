@@ -1,0 +1,43 @@
+"""The kernel language: Taichi, or its fork Quadrants if the environment variable GRANFLOW_KERNELS is `quadrants`.
+
+`ti` is that module, imported at its first use, because scenes are read without it. No other module imports either.
+"""
+
+import os
+from importlib import import_module
+from typing import Any, Literal, cast
+
+from granflow.errors import GranflowError
+
+VARIABLE = "GRANFLOW_KERNELS"
+"""Environment variable that selects the kernel language."""
+
+ti: Any
+
+
+def _selected() -> Literal["taichi", "quadrants"]:
+    """The kernel language in the environment. Raises GranflowError for an unknown one."""
+    name = os.environ.get(VARIABLE) or "taichi"
+    if name not in ("taichi", "quadrants"):
+        raise GranflowError(f"{VARIABLE} is {name}, but the kernel languages are taichi (default) and quadrants.")
+    return cast(Literal["taichi", "quadrants"], name)
+
+
+KERNELS = _selected()
+"""Name of the module `ti`, and of its package."""
+
+
+def __getattr__(name: str) -> Any:
+    """The module `ti`. Raises GranflowError if Quadrants is selected but not installed."""
+    if name != "ti":
+        raise AttributeError(name)
+    try:
+        module = import_module(KERNELS)
+    except ModuleNotFoundError as error:
+        if error.name != KERNELS:
+            raise
+        raise GranflowError(
+            f"{KERNELS} is not installed: run pip install 'granflow[quadrants]', or unset {VARIABLE}."
+        ) from None
+    globals()["ti"] = module
+    return module

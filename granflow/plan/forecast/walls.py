@@ -1,0 +1,103 @@
+"""Forecasts of walls and particles that are far outside the domain, and of walls that leave it."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from granflow.geometry.catalog import distance_from
+from granflow.geometry.mesh.mesh import Mesh
+from granflow.geometry.motion import pose
+from granflow.load import Scene
+from granflow.plan.forecast.times import nominal_times, present_from
+from granflow.plan.size_classes import diameter_range
+from granflow.plan.walls import PlannedWall, StageTimes
+from granflow.scene.schema.motions import TranslationSpec
+
+POINTS_PER_AXIS = 13
+"""Points along each axis of the domain at which the distance from a wall is computed."""
+
+TOO_LARGE = 10.0
+"""Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as walls."""
+
+TIMES = 40
+"""Times of the run at which the position of a moving wall is computed."""
+
+
+def wall_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
+
+    Domains that expand have no outside. Meshes outside the domain have notes of their own.
+    """
+    if scene.domain.on_exit == "expand":
+        return
+    times = nominal_times(scene)
+    for wall in walls:
+        endless = _is_endless(scene, wall)
+        if isinstance(wall.shape, Mesh) and not endless:
+            continue
+        if _gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
+            continue
+        gap = _gaps(scene, wall, times, TIMES if wall.motions else 1)
+        if (gap > 0.0).all():
+            yield _outside(scene, wall, float(gap.min()))
+        elif gap[-1] > 0.0 and endless:
+            yield _leaves(scene, wall, times, gap)
+
+
+def size_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each group with particles that are larger than the domain."""
+    largest_side = float(np.subtract(scene.domain.max, scene.domain.min).max())
+    for name, group in scene.particles.items():
+        diameter = diameter_range(group)[1]
+        if diameter > TOO_LARGE * largest_side and scene.domain.on_exit != "expand":
+            yield (
+                f"particles.{name} ({scene.where('particles', name, 'diameter')}): the diameter {diameter:.3g} m is "
+                f"larger than the domain, whose longest side is {largest_side:.3g} m. Check the units of both."
+            )
+
+
+def _gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
+    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of the run.
+
+    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2 of the
+    nearest center. The first time is that at which the wall appears, the last one the end of the run.
+    """
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
+    reach += 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
+    end = max(stage_end for _, stage_end in times.values())
+    poses = pose([each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count))
+    gaps = []
+    for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
+        local = (points - poses.pivot - offset) @ rotation + poses.pivot
+        gaps.append(float(np.abs(distance_from(wall.shape, local, reach)).min()) - reach)
+    return np.array(gaps)
+
+
+def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
+    low, high = scene.domain.min, scene.domain.max
+    size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain of {size} "
+        "m: no particle can touch it. Check the units of its lengths, or enlarge the domain."
+    )
+
+
+def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
+    """Whether a wall is present and translates until the run ends, without limits of its time."""
+    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, TranslationSpec)]
+    return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
+
+
+def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
+    """Sentence on a wall that leaves the domain; `gap` (k,) [m] at times of the run."""
+    end = max(stage_end for _, stage_end in times.values())
+    last = int(np.flatnonzero(gap <= 0.0)[-1])
+    left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after {left:.3g} s of "
+        f"{end:.3g} s no particle can touch it. If this is intended, give its motion an end or the "
+        "wall vanishes_at."
+    )

@@ -1,0 +1,57 @@
+"""Validated YAML files other than scenes, such as sweeps: positions, suggestions, all problems at once."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from granflow.errors import FileError, SceneError
+from granflow.scene.document import Document, Problem
+from granflow.scene.mapping import document_of
+from granflow.scene.messages import problem_at, problems_of
+from granflow.scene.partial import faults_of
+from granflow.scene.reader import document_in
+from granflow.scene.schema.fields import Model
+
+M = TypeVar("M", bound=Model)
+
+
+def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]:
+    """The content of a YAML file as `schema`, and its document, which has the position of each key.
+
+    `kind`: what the file describes, for messages, such as "sweep". Raises FileError with all problems, each as
+    `file:line:column: sentence`.
+    """
+    try:
+        document = document_in(path, kind)
+    except SceneError as error:
+        raise FileError(error.problems) from None
+    return validated(document, schema), document
+
+
+def validated_mapping(data: Mapping[str, Any], schema: type[M]) -> tuple[M, Document]:
+    """The content of a mapping with the keys of such a file; the positions in messages are key paths.
+
+    Raises FileError with all problems.
+    """
+    document = document_of(data)
+    return validated(document, schema), document
+
+
+def validated(document: Document, schema: type[M]) -> M:
+    """The content of a document as `schema`. Raises FileError with all problems."""
+    problems, content = list(document.problems), None
+    try:
+        content = schema.model_validate(document.root.data())
+        problems += [problem_at(document, fault) for fault in faults_of(content)]
+    except ValidationError as error:
+        problems += problems_of(document, error.errors(include_url=False, include_input=False), schema)
+    if content is None or problems:
+        raise FileError(map(str, _ordered(problems)))
+    return content
+
+
+def _ordered(problems: Iterable[Problem]) -> list[Problem]:
+    """The problems in the order of the file, each once."""
+    return sorted(set(problems), key=lambda problem: (problem.position.sort_key, problem.sentence))

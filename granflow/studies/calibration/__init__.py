@@ -1,0 +1,1 @@
+"""Calibration: parameters of scenes from measured targets, by Optuna; any number of workers, restartable."""

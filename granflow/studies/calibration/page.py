@@ -1,0 +1,136 @@
+"""The page of a calibration: best values, targets, conflicts, convergence, importance, all trials."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.fields import unit_of
+from granflow.io.atomic_files import write_text
+from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of
+from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.figures import COLORS
+from granflow.studies.page import page_text
+from granflow.studies.report.plots import Plot, library
+from granflow.studies.sweep.axes import axis, last_key, layout, plain, row_of_axes
+from granflow.studies.tables import PageTable
+
+PAGE = "calibration.html"
+
+HEIGHT = 340
+"""Height of a plot [pixels]."""
+
+
+def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, result: CalibrationResult) -> None:
+    """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
+    script = library()
+    text = page_text(
+        "calibration.html",
+        plotly=script,
+        title=calibration.title or f"Calibration {name}",
+        lead=calibration.description or "Parameters from measured targets.",
+        loss=result.loss,
+        best=_best(result),
+        targets=_targets(result),
+        remarks=[*(each.not_identified for each in result.parameters if each.not_identified), *result.conflicts],
+        has_plots=bool(script),
+        convergence=_convergence(result),
+        losses=_losses(result, calibration),
+        importance=_importance(result),
+        trials=_trials(result),
+    )
+    write_text(out / PAGE, text)
+
+
+def _best(result: CalibrationResult) -> PageTable:
+    """Best values with their standard deviations."""
+    rows = [
+        (each.name, f"{each.value:.5g}", "–" if each.deviation != each.deviation else f"{each.deviation:.2g}",
+         "no" if each.not_identified else "yes")
+        for each in result.parameters
+    ]  # fmt: skip
+    return PageTable(("parameter", "best value", "standard deviation", "identified"), rows)
+
+
+def _targets(result: CalibrationResult) -> PageTable:
+    """Targets at the best values."""
+    rows = []
+    for each in result.targets:
+        unit = unit_of(each.quantity)
+        measured = "curve" if each.measured != each.measured else f"{each.measured:.5g}"
+        rows.append((each.name, each.quantity, unit, measured, f"{each.simulated:.5g}", f"{each.deviation:.2g}"))
+    return PageTable(("target", "quantity", "unit", "measured", "simulated", "deviation / tolerance"), rows)
+
+
+def _convergence(result: CalibrationResult) -> Plot:
+    """Loss of each completed trial, and the smallest loss so far."""
+    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
+    numbers, losses = [trial.number for trial in trials], [trial.value for trial in trials]
+    data = [
+        {"type": "scatter", "mode": "markers", "name": "trial", "x": numbers, "y": [plain(each) for each in losses],
+         "hovertext": [_hover(trial) for trial in trials], "hoverinfo": "text", "marker": {"color": COLORS[5]}},
+        {"type": "scatter", "mode": "lines", "name": "smallest so far", "x": numbers, "line": {"shape": "hv"},
+         "y": [plain(float(each)) for each in np.minimum.accumulate(losses)], "marker": {"color": COLORS[0]}},
+    ]  # fmt: skip
+    axes = {"xaxis": axis("trial"), "yaxis": axis("loss", type="log")}
+    return Plot("Convergence: loss of each trial and smallest loss so far", {
+        "data": data, "layout": layout(HEIGHT, **axes) | {"showlegend": True},
+    })  # fmt: skip
+
+
+def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
+    """Loss over each parameter."""
+    trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
+    data = [
+        {"type": "scatter", "mode": "markers", "x": [plain(trial.params[name]) for trial in trials],
+         "y": [plain(trial.value) for trial in trials], "hovertext": [_hover(trial) for trial in trials],
+         "hoverinfo": "text", "xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y",
+         "marker": {"color": [trial.number for trial in trials], "colorscale": "Viridis", "size": 6}}
+        for k, name in enumerate(calibration.parameters)
+    ]  # fmt: skip
+    axes = row_of_axes([last_key(name) for name in calibration.parameters], "loss")
+    for key, each in axes.items():
+        is_log = key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
+        each["type"] = "log" if is_log else "linear"
+    return Plot("Loss over each parameter, colored by the number of the trial", {
+        "data": data, "layout": layout(HEIGHT, **axes),
+    })  # fmt: skip
+
+
+def _hover(trial: Any) -> str:
+    """Text at the pointer: number, loss, parameters and run directories of a trial."""
+    values = [f"{last_key(name)} = {value:.4g}" for name, value in trial.params.items()]
+    runs = [f"runs/{name}" for name in runs_of(trial).values()]
+    return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
+
+
+def _importance(result: CalibrationResult) -> Plot | None:
+    """Share of each parameter in the squared gradients of the residuals at the best values; None without a fit."""
+    shares = [each.importance for each in result.parameters]
+    if any(share != share for share in shares) or len(shares) < 2:
+        return None
+    data = {
+        "type": "bar", "marker": {"color": COLORS[0]}, "y": [plain(share) for share in shares],
+        "x": [last_key(each.name) for each in result.parameters],
+    }  # fmt: skip
+    axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
+    caption = (
+        "Importance: share of each parameter, scaled to its bounds, in the response of the targets near the best trial"
+    )
+    return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
+
+
+def _trials(result: CalibrationResult) -> PageTable:
+    """All trials: number, state, loss, parameters, simulated targets, runs and reasons."""
+    rows = []
+    for trial in result.trials:
+        simulated = trial.user_attrs.get("simulated", {})
+        loss = f"{trial.value:.4g}" if trial.state.name == "COMPLETE" else "–"
+        parameters = [f"{trial.params[each.name]:.4g}" if trial.params else "–" for each in result.parameters]
+        targets = [f"{simulated[each.name]:.4g}" if each.name in simulated else "–" for each in result.targets]
+        end = (" ".join(runs_of(trial).values()), trial.user_attrs.get("reason", ""))
+        rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *end))
+    names = [last_key(each.name) for each in result.parameters]
+    return PageTable(
+        ("trial", "state", "loss", *names, *(each.name for each in result.targets), "runs", "reason"), rows
+    )

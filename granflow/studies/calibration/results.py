@@ -1,0 +1,191 @@
+"""Results of a calibration: best values with uncertainties, targets, conflicts, and the scenes with the best values."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import inf, nan
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from granflow import Scene, load_scene
+from granflow.io.atomic_files import replacing, write_text
+from granflow.io.tables import write_table
+from granflow.studies.calibration.response import fit_response, identification
+from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.calibration.search import Search, deviation_in_units, settings_of
+from granflow.studies.calibration.targets import Measured, deviation
+from granflow.studies.run_processes.settings import overrides_of, si_value
+
+FEWEST_TRIALS = 20
+"""Smallest number of completed trials for a statement on conflicts."""
+
+
+@dataclass(frozen=True)
+class BestValue:
+    """Best value of a parameter with its standard deviation (nan without a fit).
+
+    `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a fit; `not_identified`: a
+    sentence if the targets do not identify the parameter, otherwise empty.
+    """
+
+    name: str
+    value: float
+    deviation: float
+    importance: float
+    not_identified: str
+
+
+class BestTarget(NamedTuple):
+    """A target at the best values: measured (nan for a curve) and simulated value, deviation in tolerances."""
+
+    name: str
+    quantity: str
+    measured: float
+    simulated: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Best values, targets, sentences on conflicts, and all trials of Optuna; `loss`: the smallest one."""
+
+    loss: float
+    parameters: tuple[BestValue, ...]
+    targets: tuple[BestTarget, ...]
+    conflicts: tuple[str, ...]
+    trials: tuple[Any, ...]
+
+    @property
+    def is_met(self) -> bool:
+        """Whether each target is met within its tolerance."""
+        return all(each.deviation <= 1.0 for each in self.targets)
+
+
+def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationResult | None:
+    """The result of all trials so far; None without a completed trial."""
+    completed = search.completed()
+    if not completed:
+        return None
+    best = int(np.argmin([trial.value for trial in completed]))
+    found = [_best_target(name, each, completed[best]) for name, each in targets.items()]
+    trials = tuple(search.study.get_trials(deepcopy=False))
+    parameters = tuple(_best_values(search, completed, best))
+    return CalibrationResult(
+        completed[best].value, parameters, tuple(found), tuple(_conflicts(targets, completed)), trials
+    )
+
+
+def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[BestValue]:
+    """Best values of all parameters, with uncertainties from the response near the best trial."""
+    parameters, values = search.calibration.parameters, completed[best].params
+    u, residuals = search.scaled(completed)
+    response = fit_response(u, residuals, best)
+    if response is None:
+        return [BestValue(name, values[name], nan, nan, "") for name in parameters]
+    known = identification(response, u[best])
+    return [
+        BestValue(
+            name, values[name], deviation_in_units(parameter, values[name], float(known.deviation[k])),
+            float(known.importance[k]),
+            known.statement(list(parameters), k),
+        )
+        for k, (name, parameter) in enumerate(parameters.items())
+    ]  # fmt: skip
+
+
+def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
+    """A target at the best trial."""
+    value = float(measured.value[0]) if measured.time is None else nan
+    size = deviation(measured, trial.user_attrs["residuals"], name)
+    return BestTarget(name, measured.target.quantity, value, trial.user_attrs["simulated"][name], size)
+
+
+def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> list[str]:
+    """Sentences on pairs of targets of which trials meet each one, but none both."""
+    if len(completed) < FEWEST_TRIALS:
+        return []
+    sizes = {
+        name: np.array([deviation(each, trial.user_attrs["residuals"], name) for trial in completed])
+        for name, each in targets.items()
+    }
+    found = []
+    for first, second in combinations(targets, 2):
+        met = sizes[first] <= 1.0, sizes[second] <= 1.0
+        if met[0].any() and met[1].any() and not (met[0] & met[1]).any():
+            found.append(
+                f"{first} and {second} conflict: of {len(completed)} trials, {int(met[0].sum())} meet {first} and "
+                f"{int(met[1].sum())} meet {second} within the tolerance, but none meets both."
+            )
+    return found
+
+
+def write_best_scenes(
+    out: Path, calibration: CalibrationInput, scenes: Mapping[str, Path], values: Mapping[str, float]
+) -> list[Path]:
+    """Write each scene with the best values, ready to run: `best.yaml`, or `best_NAME.yaml` of several scenes."""
+    written = []
+    for name, path in scenes.items():
+        settings = {key: si_value(value) for key, value in settings_of(calibration, name, values).items()}
+        scene = load_scene(path, overrides_of(settings))
+        target = out / ("best.yaml" if len(scenes) == 1 else f"best_{name}.yaml")
+        write_text(target, scene.text())
+        _copy_inputs(scene, out)
+        written.append(target)
+    return written
+
+
+def _copy_inputs(scene: Scene, out: Path) -> None:
+    """Copy the mesh and particle files of a scene to the directory, to the paths that the scene contains."""
+    files = [wall.file for wall in scene.walls.values() if wall.shape == "mesh"]
+    files += [group.insert.file for group in scene.particles.values() if group.insert.kind == "file"]
+    for name in files:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        if (out / name).resolve() != (scene.folder / name).resolve():
+            shutil.copyfile(scene.folder / name, out / name)
+
+
+def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
+    """Columns of `trials.csv`: number, state, loss, parameters, simulated values, reason, runs; None if missing."""
+    names, targets = [each.name for each in result.parameters], [each.name for each in result.targets]
+    found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
+    found["state"] = [state_of(trial) for trial in result.trials]
+    found["loss"] = [trial.value if trial.state.name == "COMPLETE" else None for trial in result.trials]
+    for name in names:
+        found[name] = [trial.params.get(name) for trial in result.trials]
+    for name in targets:
+        found[f"target.{name}"] = [trial.user_attrs.get("simulated", {}).get(name) for trial in result.trials]
+    found["reason"] = [trial.user_attrs.get("reason") for trial in result.trials]
+    found["runs"] = [" ".join(runs_of(trial).values()) for trial in result.trials]
+    return found
+
+
+def runs_of(trial: Any) -> dict[str, str]:
+    """Names of the run directories of a trial by scene."""
+    return {key[4:]: value for key, value in trial.user_attrs.items() if key.startswith("run.")}
+
+
+def state_of(trial: Any) -> str:
+    """State of a trial in words."""
+    words = {"COMPLETE": "completed", "PRUNED": "stopped early", "FAIL": "failed", "RUNNING": "running"}
+    return words.get(trial.state.name, "waiting")
+
+
+def write_result(out: Path, result: CalibrationResult) -> None:
+    """Write `trials.csv` and `best.csv`, each atomically."""
+    best = {
+        "parameter": [each.name for each in result.parameters],
+        "value": [each.value for each in result.parameters],
+        "standard_deviation": [_number(each.deviation) for each in result.parameters],
+        "identified": [not each.not_identified for each in result.parameters],
+        "remark": [each.not_identified for each in result.parameters],
+    }
+    for name, columns in (("trials.csv", trial_columns(result)), ("best.csv", best)):
+        with replacing(out / name) as temporary:
+            write_table(temporary, columns, zip(*columns.values(), strict=True))
+
+
+def _number(value: float) -> float | None:
+    return value if -inf < value < inf else None

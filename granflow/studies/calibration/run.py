@@ -1,0 +1,156 @@
+"""Runs a calibration: trials by several workers, then best values, tables and page."""
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Lock
+from typing import Any
+
+from granflow.errors import FileError, GranflowError
+from granflow.io.lock import locked
+from granflow.io.machine import worker_count
+from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.studies.calibration.page import write_calibration_page
+from granflow.studies.calibration.results import CalibrationResult, result_of, write_best_scenes, write_result
+from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.calibration.search import Search, from_unit, require_optuna
+from granflow.studies.calibration.targets import Measured, read_target
+from granflow.studies.calibration.trials import TrialRunner
+from granflow.studies.run_processes.checked import RunSettings
+from granflow.studies.run_processes.executors import local_jobs
+
+POLL = 0.5
+"""Interval [s] at which a request to stop is checked."""
+
+MOST_FAILURES = 8
+"""Number of failed trials, without any completed one, after which a calibration ends."""
+
+Report = Callable[[str], None]
+"""Function that receives one line per trial."""
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
+    """A valid calibration: its content, scene files and targets by name, and the position of each key that it sets."""
+
+    content: CalibrationInput
+    name: str
+    scenes: Mapping[str, Path]
+    targets: Mapping[str, Measured]
+    positions: Mapping[str, str]
+
+
+def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> CalibrationFile:
+    """Read a calibration from a YAML file, or from a mapping with the same keys.
+
+    Paths are relative to the folder of the file, or to the working directory. Raises FileError with all problems.
+    """
+    if isinstance(source, Mapping):
+        content, document = validated_mapping(source, CalibrationInput)
+        folder, name = Path(), "calibration"
+    else:
+        content, document = validated_file(Path(source), CalibrationInput, "calibration")
+        folder, name = Path(source).parent, Path(source).stem
+    scenes = {each: folder / given.scene for each, given in content.scenes.items()}
+    missing = [
+        f"{document.value_position(('scenes', each, 'scene'))}: scenes.{each}.scene is {content.scenes[each].scene}, "
+        f"but there is no file {path}."
+        for each, path in scenes.items()
+        if not path.is_file()
+    ]
+    if missing:
+        raise FileError(missing)
+    targets = {
+        each: read_target(target, folder, str(document.value_position(("targets", each, "curve"))))
+        for each, target in content.targets.items()
+    }
+    positions: dict[str, str] = {}
+    for scene, given in content.scenes.items():
+        positions |= {key: str(document.key_position(("scenes", scene, "set", key))) for key in given.settings}
+        for parameter in content.parameters:
+            position = str(document.key_position(("parameters", parameter)))
+            positions |= dict.fromkeys(content.keys_of(parameter, scene), position)
+    return CalibrationFile(content, name, scenes, targets, positions)
+
+
+def run_calibration(
+    file: CalibrationFile,
+    out: Path,
+    jobs: int | None = None,
+    threads: int = 1,
+    stop: Event | None = None,
+    report: Report = lambda _: None,
+) -> CalibrationResult | None:
+    """Carry out the trials that have not ended, and write tables, page and the scenes with the best values.
+
+    `jobs`: number of simultaneous trials, default cores / threads; `stop`: stops all runs when it is set. The same
+    command in other processes adds workers. Returns None if no trial was completed. Raises GranflowError if the
+    calibration is not valid, or if jobs * threads exceeds the cores.
+    """
+    stop = stop or Event()
+    require_optuna(file.content.search.method)
+    count = local_jobs(jobs, threads, worker_count(None)[0])
+    out.mkdir(parents=True, exist_ok=True)
+    search = Search(file.content, out)
+    stop_file = out / f".stop_{search.worker}"
+    common = RunSettings(out / "runs", threads, "cpu", stop_file)
+    runner = TrialRunner(search, file.scenes, file.targets, file.positions, common, stop.is_set)
+    runner.check({name: from_unit(each, 0.5) for name, each in file.content.parameters.items()})
+    with locked(search.lock):
+        search.release_lost()
+        _Workers(runner, count, stop, report).run()
+    result = result_of(search, file.targets)
+    if result is not None:
+        write_result(out, result)
+        best = {each.name: each.value for each in result.parameters}
+        write_best_scenes(out, file.content, file.scenes, best)
+        write_calibration_page(out, file.content, file.name, result)
+    return result
+
+
+class _Workers:
+    """Threads that carry out trials one after the other until all have begun, or until a stop is requested."""
+
+    def __init__(self, runner: TrialRunner, count: int, stop: Event, report: Report) -> None:
+        self._runner, self._count, self._stop, self._report = runner, count, stop, report
+        self._asking = Lock()
+
+    def run(self) -> None:
+        """Carry out the trials. KeyboardInterrupt stops the runs, and is raised again when all have stopped."""
+        interrupt: KeyboardInterrupt | None = None
+        with ThreadPoolExecutor(self._count) as executor:
+            running: set[Future[None]] = {executor.submit(self._work) for _ in range(self._count)}
+            while running:
+                try:
+                    done, running = wait(running, POLL, FIRST_COMPLETED)
+                    for future in done:
+                        future.result()
+                except KeyboardInterrupt as error:
+                    interrupt = error
+                    self._stop.set()
+                except BaseException:
+                    self._stop.set()
+                    raise
+        if interrupt is not None:
+            raise interrupt
+
+    def _work(self) -> None:
+        """Carry out trials in one thread. Raises GranflowError if the first trials all fail."""
+        while not self._stop.is_set():
+            with self._asking:
+                self._refuse_failures()
+                trial = self._runner.search.next_trial()
+            if trial is None:
+                return
+            state = self._runner.run(trial)
+            values = ", ".join(f"{name} {value:.4g}" for name, value in trial.params.items())
+            self._report(f"trial {trial.number}: {values}: {state}")
+
+    def _refuse_failures(self) -> None:
+        """Raise GranflowError if all of the first trials have failed: the others would fail as well."""
+        trials = self._runner.search.study.get_trials(deepcopy=False)
+        reasons = [trial.user_attrs["reason"] for trial in trials if "reason" in trial.user_attrs]
+        if len(reasons) >= MOST_FAILURES and len(reasons) == sum(trial.state.is_finished() for trial in trials):
+            raise GranflowError(f"The first {len(reasons)} trials failed. The last reason: {reasons[-1]}")

@@ -1,0 +1,118 @@
+"""Schema of calibration files."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from granflow.scene.schema import quantities as q
+from granflow.scene.schema.fields import Fault, FileName, ListOf, Model, Name, Text, missing, redundant, whole
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.scene import Seed
+from granflow.scene.suggest import suggestion_or_list
+
+Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
+Tolerance = Annotated[float, Number("any", noun="a tolerance", above=0)]
+
+
+class CalibrationScene(Model):
+    """A scene that each trial runs."""
+
+    scene: FileName = Field(description="scene file, relative to the folder of this file")
+    settings: dict[Text, Any] = Field({}, alias="set", description="values of other keys of the scene in all trials")
+
+
+class Parameter(Model):
+    """A parameter to determine, between two bounds."""
+
+    start: q.AnyQuantity = Field(alias="from", description="lower bound")
+    stop: q.AnyQuantity = Field(alias="to", description="upper bound")
+    scale: Literal["linear", "log"] = Field("linear", description="scale of the search: linear or log")
+    keys: Keys | None = Field(None, description="keys of all scenes that get the value; default: the name")
+    keys_in: dict[Name, Keys] = Field({}, description="further keys by scene, which only this scene has")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the upper bound is larger, and the lower one positive on a logarithmic scale."""
+        if not self.start < self.stop:
+            yield Fault(("to",), f"it must be larger than from, {self.start:g}")
+        if self.scale == "log" and self.start <= 0.0:
+            yield Fault(("from",), "it must be above 0 on a logarithmic scale, such as 1e-3")
+
+
+class Target(Model):
+    """A measured number, or a measured curve over time, that the scene must reproduce."""
+
+    scene: Name = Field(description="name of the scene, in scenes")
+    quantity: Text = Field(description="number of the result, or for a curve column of the time series")
+    value: q.AnyQuantity | None = Field(None, description="measured value")
+    curve: FileName | None = Field(None, description="CSV file with the columns time [s] and value, SI")
+    stage: Name | None = Field(
+        None, description="with curve: stage whose beginning is time 0; default: that of the run"
+    )
+    tolerance: Tolerance = Field(description="standard deviation of the measurement, in the unit of the quantity")
+    weight: q.Positive = Field(1.0, description="factor of the target in the loss")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of value and curve is given."""
+        if self.value is None and self.curve is None:
+            yield missing(("value",), "the measured value, or curve with a CSV file")
+        if self.value is not None and self.curve is not None:
+            yield redundant("value", "curve")
+        if self.stage is not None and self.curve is None:
+            yield Fault(("stage",), "it requires curve; remove stage")
+
+
+class Search(Model):
+    """The search for the best parameters."""
+
+    method: Literal["tpe", "cma_es", "gp"] = Field("tpe", description="sampler of Optuna: tpe, cma_es or gp")
+    trials: q.Count = Field(60, description="number of trials")
+    seed: Seed = Field(1, description="seed of the sampler")
+
+
+class CalibrationInput(Model):
+    """A calibration: scenes, parameters with bounds, and targets with tolerances."""
+
+    title: Text | None = Field(None, description="title of the calibration, one line")
+    description: Text | None = Field(None, description="description of the calibration and its expected result")
+    scenes: dict[Name, CalibrationScene] = Field(description="scenes that each trial runs, by name")
+    parameters: dict[Text, Parameter] = Field(description="parameters by name; the default key is the name")
+    targets: dict[Name, Target] = Field(description="targets by name")
+    search: Search = Field(Search(), description="method, number of trials and seed")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield faults between the parts: empty parts, unknown scenes, keys given twice."""
+        for part in ("scenes", "parameters", "targets"):
+            if not getattr(self, part):
+                yield missing((part,), "at least one entry")
+        for name, target in self.targets.items():
+            yield from self._unknown_scene(("targets", name, "scene"), target.scene)
+        used = {target.scene for target in self.targets.values()}
+        for name in self.scenes:
+            if name not in used:
+                yield whole(("scenes", name), "has no target; remove it, or add a target")
+        for name, parameter in self.parameters.items():
+            for scene in parameter.keys_in:
+                yield from self._unknown_scene(("parameters", name, "keys_in", scene), scene)
+        yield from self._repeated_keys()
+
+    def _unknown_scene(self, path: tuple[str, ...], name: str) -> Iterator[Fault]:
+        """A fault if there is no scene of this name."""
+        if name not in self.scenes:
+            yield Fault(path, f"there is no such scene. {suggestion_or_list(name, self.scenes, 'scenes')}")
+
+    def _repeated_keys(self) -> Iterator[Fault]:
+        """Faults of keys of a scene that several entries set."""
+        for scene, each in self.scenes.items():
+            seen: dict[str, str] = dict.fromkeys(each.settings, f"scenes.{scene}.set")
+            for name in self.parameters:
+                for key in self.keys_of(name, scene):
+                    if key in seen:
+                        yield whole(("parameters", name), f"sets {key}, which {seen[key]} sets too; keep one of them")
+                    seen[key] = f"parameters.{name}"
+
+    def keys_of(self, name: str, scene: str) -> tuple[str, ...]:
+        """Keys of a scene that a parameter sets."""
+        parameter = self.parameters[name]
+        default = () if parameter.keys_in else (name,)
+        return (*(default if parameter.keys is None else parameter.keys), *parameter.keys_in.get(scene, ()))

@@ -1,0 +1,187 @@
+"""The search: trials that several workers share through a journal in the folder of the calibration."""
+
+import os
+import socket
+import warnings
+from collections.abc import Mapping, Sequence
+from math import log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.lock import locked
+from granflow.studies.calibration.response import fit_response
+from granflow.studies.calibration.schema import CalibrationInput, Parameter
+
+JOURNAL = "trials.journal"
+"""File with all trials."""
+
+REFINED_SHARE = 0.3
+"""Share of the trials, the last ones, that evaluate the optimum of the fitted response instead of a sampled point."""
+
+NEW_POINT = 1e-3
+"""Smallest distance of a refined point from all trials, in the scaled parameters; a closer one would add nothing."""
+
+FIRST_RANDOM = 10
+"""Trials with random parameters before the sampler learns from them."""
+
+
+class Search:
+    """Trials of a calibration. Methods may be called from several threads, and several processes share the journal."""
+
+    def __init__(self, calibration: CalibrationInput, out: Path) -> None:
+        self.optuna = require_optuna(calibration.search.method)
+        self.calibration, self._out = calibration, out
+        self.worker = f"{socket.gethostname()}-{os.getpid()}"
+        storage = self.optuna.storages.JournalStorage(
+            self.optuna.storages.journal.JournalFileBackend(str(out / JOURNAL))
+        )
+        self.study = self.optuna.create_study(study_name="calibration", storage=storage, load_if_exists=True)
+        self._refuse_other(calibration)
+        self.study.sampler = self._sampler(len(self.study.get_trials(deepcopy=False)))
+
+    @property
+    def lock(self) -> Path:
+        """Directory that is locked while this process works, so that others recognize its trials as alive."""
+        return self._out / "workers" / self.worker
+
+    def _refuse_other(self, calibration: CalibrationInput) -> None:
+        """Raise GranflowError if the journal belongs to a calibration with other parameters, scenes or targets."""
+        text = calibration.model_dump_json(by_alias=True, exclude={"search", "title", "description"})
+        earlier = self.study.user_attrs.get("calibration")
+        if earlier is None:
+            self.study.set_user_attr("calibration", text)
+        elif earlier != text:
+            raise GranflowError(
+                f"{self._out} contains trials of a calibration with other scenes, parameters or targets: give another "
+                "directory with --out."
+            )
+
+    def _sampler(self, existing: int) -> Any:
+        """The sampler of Optuna; `existing`: number of trials, so that a restart does not repeat random points."""
+        samplers, seed = self.optuna.samplers, self.calibration.search.seed + existing
+        if self.calibration.search.method == "cma_es":
+            return samplers.CmaEsSampler(seed=seed, n_startup_trials=1)
+        if self.calibration.search.method == "gp":
+            return samplers.GPSampler(seed=seed, n_startup_trials=FIRST_RANDOM)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # constant_liar and multivariate are marked as experimental
+            return samplers.TPESampler(seed=seed, n_startup_trials=FIRST_RANDOM, multivariate=True, constant_liar=True)
+
+    def release_lost(self) -> None:
+        """End the trials whose process is gone, and put their parameters first in the queue."""
+        states = self.optuna.trial.TrialState
+        for trial in self.study.get_trials(deepcopy=False, states=(states.RUNNING,)):
+            worker = trial.user_attrs.get("worker", "")
+            try:
+                with locked(self._out / "workers" / worker):
+                    pass
+            except GranflowError:
+                continue  # its process is alive
+            if worker != self.worker:
+                self.study.tell(trial.number, state=states.FAIL)
+                self.study.enqueue_trial(dict(trial.params))
+
+    def next_trial(self) -> Any:
+        """The next trial, or None if all have begun."""
+        states = self.optuna.trial.TrialState
+        begun = [t for t in self.study.get_trials(deepcopy=False) if t.state != states.WAITING and not self._is_lost(t)]
+        waiting = self.study.get_trials(deepcopy=False, states=(states.WAITING,))
+        if len(begun) >= self.calibration.search.trials:
+            return None
+        if not waiting and len(begun) >= (1.0 - REFINED_SHARE) * self.calibration.search.trials:
+            self._enqueue_refined()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            trial = self.study.ask(self._distributions())
+        trial.set_user_attr("worker", self.worker)
+        return trial
+
+    def _is_lost(self, trial: Any) -> bool:
+        """Whether the trial ended because its process was killed; its parameters are tried again."""
+        return trial.state == self.optuna.trial.TrialState.FAIL and "reason" not in trial.user_attrs
+
+    def _distributions(self) -> dict[str, Any]:
+        """Distributions of the parameters by name."""
+        found = self.calibration.parameters
+        float_distribution = self.optuna.distributions.FloatDistribution
+        return {
+            name: float_distribution(each.start, each.stop, log=each.scale == "log") for name, each in found.items()
+        }
+
+    def completed(self) -> list[Any]:
+        """All completed trials in order; their attributes contain the residuals."""
+        states = self.optuna.trial.TrialState
+        return list(self.study.get_trials(deepcopy=False, states=(states.COMPLETE,)))
+
+    def scaled(self, trials: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), of completed trials."""
+        parameters = self.calibration.parameters
+        u = [[to_unit(each, trial.params[name]) for name, each in parameters.items()] for trial in trials]
+        residuals = [np.concatenate(list(trial.user_attrs["residuals"].values())) for trial in trials]
+        return np.array(u).reshape(-1, len(parameters)), np.array(residuals)
+
+    def _enqueue_refined(self) -> None:
+        """Enqueue the optimum of the response fitted to the trials near the best one, unless it was evaluated."""
+        trials = self.completed()
+        if not trials:
+            return
+        u, residuals = self.scaled(trials)
+        best = int(np.argmin([trial.value for trial in trials]))
+        response = fit_response(u, residuals, best)
+        if response is None:
+            return
+        found = response.optimum(u[best])
+        if np.abs(u - found).max(axis=1).min() > NEW_POINT:
+            named = zip(self.calibration.parameters.items(), found, strict=True)
+            self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
+
+
+def require_optuna(method: str) -> Any:
+    """The module optuna. Raises GranflowError if it, or a package that the method needs, is not installed."""
+    try:
+        import optuna
+        import optuna.storages.journal
+    except ImportError:
+        raise GranflowError(
+            "Calibration requires Optuna, which is not installed: pip install granflow[calibrate]"
+        ) from None
+    for name, package in (("cma_es", "cmaes"), ("gp", "torch")):
+        if method == name:
+            try:
+                __import__(package)
+            except ImportError:
+                raise GranflowError(f"search.method {name} requires {package}: pip install {package}") from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
+
+
+def to_unit(parameter: Parameter, value: float) -> float:
+    """Position of a value between the bounds of its parameter, 0 to 1."""
+    if parameter.scale == "log":
+        return log(value / parameter.start) / log(parameter.stop / parameter.start)
+    return (value - parameter.start) / (parameter.stop - parameter.start)
+
+
+def from_unit(parameter: Parameter, share: float) -> float:
+    """Value at a position between the bounds of its parameter."""
+    if parameter.scale == "log":
+        value = parameter.start * (parameter.stop / parameter.start) ** share
+    else:
+        value = parameter.start + share * (parameter.stop - parameter.start)
+    return float(min(max(value, parameter.start), parameter.stop))
+
+
+def deviation_in_units(parameter: Parameter, value: float, share: float) -> float:
+    """Standard deviation of a parameter in its own unit, at a value, from that of its position."""
+    if parameter.scale == "log":
+        return float(value * log(parameter.stop / parameter.start) * share)
+    return (parameter.stop - parameter.start) * share
+
+
+def settings_of(calibration: CalibrationInput, scene: str, values: Mapping[str, float]) -> dict[str, Any]:
+    """Values of the keys of a scene for the values of the parameters, by key path."""
+    keys = {key: value for name, value in values.items() for key in calibration.keys_of(name, scene)}
+    return {**calibration.scenes[scene].settings, **keys}

@@ -1,0 +1,111 @@
+"""Deviations of a run from the targets, in tolerances, and a lower bound of the loss during the run.
+
+    loss = sum of weight * r^2,    r = (simulated - measured) / tolerance
+
+For a curve, r^2 is the mean over its points.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite, sqrt
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import FileError
+from granflow.io.tables import read_table
+from granflow.studies.calibration.schema import Target
+from granflow.studies.report.series import TimeSeriesTable, read_series
+from granflow.studies.run_processes.outcome import numbers_of
+
+CURVE_COLUMNS = ("time", "value")
+"""Columns of a file with a curve."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value` (n,)."""
+
+    target: Target
+    time: np.ndarray | None
+    value: np.ndarray
+
+    @property
+    def scale(self) -> float:
+        """Factor of a difference in its share of the residual: sqrt(weight / n) / tolerance."""
+        return sqrt(self.target.weight / len(self.value)) / self.target.tolerance
+
+
+def read_target(target: Target, folder: Path, position: str) -> Measured:
+    """The target with its measured values; a curve is read from its file, relative to `folder`.
+
+    `position`: of the target in its file, for messages. Raises FileError for an invalid table.
+    """
+    if target.curve is None:
+        return Measured(target, None, np.array([target.value], dtype=float))
+    path = folder / target.curve
+    try:
+        table = read_table(path)
+    except OSError as error:
+        raise FileError(f"{position}: curve is {target.curve}, but {path} cannot be read: {error.strerror}.") from None
+    names = tuple(name.partition(" [")[0] for name in table.names) if table else ()
+    missing = [name for name in CURVE_COLUMNS if name not in names]
+    if table is None or missing:
+        raise FileError(f"{path}: there is no column {missing[0]}; the columns are time and value.")
+    time, value = (table.complete().numbers(names.index(name)) for name in CURVE_COLUMNS)
+    if not (len(time) and np.isfinite(time).all() and np.isfinite(value).all() and (np.diff(time) > 0.0).all()):
+        raise FileError(f"{path}: the rows must be numbers with increasing time; correct the table.")
+    return Measured(target, time, value)
+
+
+def residuals(measured: Measured, directory: Path) -> np.ndarray:
+    """Weighted residuals (n,) of a completed run, whose squares add up to its share of the loss; nan if missing."""
+    return (simulated(measured, directory) - measured.value) * measured.scale
+
+
+def simulated(measured: Measured, directory: Path) -> np.ndarray:
+    """Simulated values (n,) of a completed run; nan if it has no such number."""
+    if measured.time is None:
+        return np.array([numbers_of(directory).get(measured.target.quantity, np.nan)])
+    series = read_series(directory / "timeseries.csv")
+    return np.full(len(measured.value), np.nan) if series is None else _at_times(measured, series)
+
+
+def partial_loss(measured: Measured, directory: Path) -> float:
+    """Share of the loss that a curve has already in the time that the run has simulated; 0 for a single value.
+
+    The loss at the end is at least as large.
+    """
+    if measured.time is None:
+        return 0.0
+    series = read_series(directory / "timeseries.csv")
+    if series is None:
+        return 0.0
+    differences = (_at_times(measured, series) - measured.value) * measured.scale
+    return float(np.nansum(differences**2))
+
+
+def _at_times(measured: Measured, series: TimeSeriesTable) -> np.ndarray:
+    """Values of the time series at the times of a curve (n,), interpolated linearly; nan after its end."""
+    assert measured.time is not None
+    columns = {column.name: column.values for column in series.columns}
+    starts = {name: time for time, name in series.stages}
+    stage, name = measured.target.stage, measured.target.quantity
+    if name not in columns or (stage is not None and stage not in starts):
+        return np.full(len(measured.time), np.nan)
+    times = measured.time + (0.0 if stage is None else starts[stage])
+    return np.interp(times, series.time, columns[name], right=np.nan)
+
+
+def shown_value(measured: Measured, values: np.ndarray) -> float:
+    """One number for a table: the value, or the root mean square difference of a curve from its measurement."""
+    if measured.time is None:
+        return float(values[0])
+    return float(np.sqrt(np.mean((values - measured.value) ** 2)))
+
+
+def deviation(measured: Measured, found: Mapping[str, list[float]], name: str) -> float:
+    """Deviation of a target in tolerances, from the weighted residuals of a trial; infinite without numbers."""
+    values = np.array(found.get(name, [np.inf]))
+    size = float(np.sqrt((values**2).sum() / measured.target.weight))
+    return size if isfinite(size) else float("inf")

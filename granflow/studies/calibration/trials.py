@@ -1,0 +1,144 @@
+"""One trial: the runs of all scenes with the parameters of the trial, and its loss."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError, SceneError
+from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.calibration.search import FIRST_RANDOM, Search, settings_of
+from granflow.studies.calibration.targets import Measured, partial_loss, residuals, shown_value, simulated
+from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
+from granflow.studies.run_processes.outcome import NOT_RUN, Outcome
+from granflow.studies.run_processes.process import execute
+from granflow.studies.run_processes.settings import relocated, si_value
+
+CHECK_INTERVAL = 2.0
+"""Interval [s] at which the time series of a run is compared with the targets."""
+
+
+class TrialStopped(Exception):
+    """The calibration stops; the trial remains open and is repeated when it continues."""
+
+
+class Unpromising(Exception):
+    """The loss of the trial is already above the limit."""
+
+
+class TrialFailed(Exception):
+    """The trial has no loss; the message gives the reason."""
+
+
+@dataclass(frozen=True)
+class TrialRunner:
+    """Runs trials. `scenes`: scene files by name; `positions`: of keys in the calibration file, for messages.
+
+    `stop`: function that returns True when the calibration stops.
+    """
+
+    search: Search
+    scenes: Mapping[str, Path]
+    targets: Mapping[str, Measured]
+    positions: Mapping[str, str]
+    common: RunSettings
+    stop: Callable[[], bool]
+
+    @property
+    def _calibration(self) -> CalibrationInput:
+        return self.search.calibration
+
+    def check(self, values: Mapping[str, float]) -> None:
+        """Check all scenes with values of the parameters. Raises GranflowError with the reason of the first refusal."""
+        for scene in self.scenes:
+            try:
+                self._checked(scene, values)
+            except SceneError as error:
+                raise relocated(error, self.positions) from None
+
+    def _checked(self, scene: str, values: Mapping[str, float]) -> CheckedRun:
+        """A checked run of a scene."""
+        settings = {key: si_value(value) for key, value in settings_of(self._calibration, scene, values).items()}
+        read = [each.target.quantity for each in self._targets_of(scene).values() if each.time is None]
+        return checked_run(self.scenes[scene], settings, read, self.common)
+
+    def _targets_of(self, scene: str) -> dict[str, Measured]:
+        """The targets of a scene by name."""
+        return {name: each for name, each in self.targets.items() if each.target.scene == scene}
+
+    def run(self, trial: Any) -> str:
+        """Run a trial, record its loss, and return its state in words; the trial remains open if all stop."""
+        states = self.search.optuna.trial.TrialState
+        try:
+            loss = self._loss(trial)
+        except TrialStopped:
+            return "stopped"
+        except Unpromising:
+            self.search.study.tell(trial, state=states.PRUNED)
+            return "stopped early"
+        except (TrialFailed, GranflowError) as error:
+            trial.set_user_attr("reason", str(error))
+            self.search.study.tell(trial, state=states.FAIL)
+            return f"failed: {error}"
+        self.search.study.tell(trial, loss)
+        return f"loss {loss:.4g}"
+
+    def _loss(self, trial: Any) -> float:
+        """The loss of a trial; residuals, simulated values and run directories become attributes of the trial."""
+        limit = self._limit()
+        found: dict[str, list[float]] = {}
+        shown: dict[str, float] = {}
+        for number, scene in enumerate(self.scenes):
+            run = self._checked(scene, trial.params)
+            trial.set_user_attr(f"run.{scene}", run.directory.name)
+            before = sum(float(np.sum(np.square(each))) for each in found.values())
+            self._carry_out(trial, number, run, scene, before, limit)
+            for name, measured in self._targets_of(scene).items():
+                values = simulated(measured, run.directory)
+                if not np.isfinite(values).all():
+                    reason = f"{run.directory} has no {measured.target.quantity} at some time of the target {name}."
+                    raise TrialFailed(reason)
+                found[name] = residuals(measured, run.directory).tolist()
+                shown[name] = shown_value(measured, values)
+        trial.set_user_attr("residuals", {name: found[name] for name in self.targets})
+        trial.set_user_attr("simulated", shown)
+        return sum(float(np.sum(np.square(each))) for each in found.values())
+
+    def _limit(self) -> float:
+        """Loss above which a trial is stopped: the median of the completed trials; infinite for the first ones."""
+        losses = [trial.value for trial in self.search.completed()]
+        return median(losses) if len(losses) >= FIRST_RANDOM else float("inf")
+
+    def _carry_out(self, trial: Any, number: int, run: CheckedRun, scene: str, before: float, limit: float) -> None:
+        """Run a scene to its end, unless the calibration stops or the loss exceeds the limit.
+
+        `before`: loss of the scenes before; `number`: of the scene in the trial. Raises TrialStopped, Unpromising, or
+        TrialFailed.
+        """
+        checked_at, bound = time.monotonic(), before
+
+        def is_unpromising() -> bool:
+            nonlocal checked_at, bound
+            if time.monotonic() - checked_at > CHECK_INTERVAL:
+                checked_at = time.monotonic()
+                bound = before + sum(partial_loss(each, run.directory) for each in self._targets_of(scene).values())
+            return bound > limit
+
+        if bound <= limit:
+            outcome = execute(run.request, lambda: self.stop() or is_unpromising())
+            self._raise_unless_completed(outcome)
+        if bound > limit:
+            trial.report(bound, number)
+            raise Unpromising
+
+    def _raise_unless_completed(self, outcome: Outcome) -> None:
+        """Raise TrialFailed for a run without a result, and TrialStopped if the calibration stops."""
+        if outcome.status == NOT_RUN:
+            if self.stop():
+                raise TrialStopped
+        elif not outcome.has_numbers:
+            raise TrialFailed(f"{outcome.status}: {outcome.reason}")

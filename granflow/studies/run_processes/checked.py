@@ -1,0 +1,81 @@
+"""Runs checked before they start: resolved scene, plan, directory by the hash of the scene, and set of kernels."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from granflow import GranflowError, Plan, Scene, load_scene, plan_for
+from granflow.studies.run_processes.process import RunRequest
+from granflow.studies.run_processes.quantities import unknown_quantity
+from granflow.studies.run_processes.settings import overrides_of
+
+HASH_DIGITS = 16
+"""Hexadecimal digits of the name of a run directory."""
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """A run that can start. `kernels`: equal for runs with equal compiled kernels; `seed`: that of its scene."""
+
+    request: RunRequest
+    seed: int
+    kernels: str
+
+    @property
+    def directory(self) -> Path:
+        """Directory of the run."""
+        return Path(self.request.directory)
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Settings of all runs of a study.
+
+    `runs`: directory that contains the run directories; `threads`: of each run; `arch`: compute device; `stop_file`:
+    file whose presence stops all runs.
+    """
+
+    runs: Path
+    threads: int
+    arch: str
+    stop_file: Path
+
+
+def checked_run(
+    path: Path, settings: Mapping[str, Any], read: Sequence[str], common: RunSettings, seed_offset: int = 0
+) -> CheckedRun:
+    """Check a run of the scene in a file with other values of some keys, by key path.
+
+    `read`: numbers of the result that are needed; `seed_offset`: added to the seed of the scene. Raises GranflowError
+    if the scene with these values is invalid, or has no such number.
+    """
+    overrides = overrides_of(settings)
+    scene = load_scene(path, overrides)
+    if seed_offset:
+        overrides = (*overrides, f"seed={scene.seed + seed_offset}")
+        scene = load_scene(path, overrides)
+    unknown = [reason for name in read if (reason := unknown_quantity(name, scene))]
+    if unknown:
+        raise GranflowError(" ".join(unknown))
+    directory = (common.runs / scene_hash(scene, common.arch)).resolve()
+    request = RunRequest(
+        str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve())
+    )
+    return CheckedRun(request, scene.seed, _kernel_set(scene, plan_for(scene), common.arch))
+
+
+def scene_hash(scene: Scene, arch: str) -> str:
+    """Hash of the resolved scene, of the mesh and particle files that it reads, and of the compute device."""
+    digest = hashlib.sha256(f"{arch}\n{scene.text()}".encode())
+    files = [wall.file for wall in scene.walls.values() if wall.shape == "mesh"]
+    files += [group.insert.file for group in scene.particles.values() if group.insert.kind == "file"]
+    for name in files:
+        digest.update((scene.folder / name).read_bytes())
+    return digest.hexdigest()[:HASH_DIGITS]
+
+
+def _kernel_set(scene: Scene, plan: Plan, arch: str) -> str:
+    """Text that is equal for scenes whose compiled kernels are equal: contact models, features and precision."""
+    return repr((arch, plan.precision, scene.contact, plan.features))

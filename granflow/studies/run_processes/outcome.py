@@ -1,0 +1,88 @@
+"""Outcome of a run, from the files in its directory: nothing else is known about runs after a restart."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from granflow.io.atomic_files import write_text
+
+DONE, MISSED, REFUSED, ABORTED = "done", "expectation missed", "refused", "aborted"
+CRASHED, NOT_RUN = "crashed", "not run"
+SEVERITY = (DONE, MISSED, NOT_RUN, REFUSED, ABORTED, CRASHED)
+"""Statuses of a run in ascending severity; a run that was stopped, or not started, has the status NOT_RUN."""
+
+RECORD = "outcome.json"
+"""File in the directory of a run with its outcome, written when the process has ended."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Status of a run, its reason in full, and the wall clock [s]; nan if it is unknown.
+
+    `is_lost`: the process ended without a decision of its own (killed, lost worker, full disk), so that another attempt
+    can succeed.
+    """
+
+    status: str
+    reason: str = ""
+    seconds: float = nan
+    is_lost: bool = False
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether the run has reached its end."""
+        return self.status in (DONE, MISSED)
+
+
+UNFINISHED = Outcome(NOT_RUN)
+"""Outcome of a run that was stopped, or not started."""
+
+
+def final_outcome(directory: Path) -> Outcome | None:
+    """The outcome of a run that is not repeated: completed or aborted; None for all others."""
+    result = read_json(directory / "result.json")
+    if result is not None:
+        missed = [each["sentence"] for each in result["expect"] if not each["met"]]
+        return Outcome(MISSED if missed else DONE, " ".join(missed), result["run"]["wall_clock"])
+    record = read_json(directory / RECORD)
+    if record is not None and record["status"] == ABORTED:
+        return Outcome(**record)
+    return None
+
+
+def write_outcome(directory: Path, outcome: Outcome) -> None:
+    """Write the outcome to the directory of the run, atomically."""
+    write_text(directory / RECORD, json.dumps(asdict(outcome), indent=2) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; None if it does not exist or is damaged."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def numbers_of(directory: Path) -> dict[str, float]:
+    """All numbers of a completed run by the names of the `expect:` block; nan for a number that is not finite.
+
+    Empty if the run has no result.
+    """
+    result = read_json(directory / "result.json") or {}
+    named = {**result.get("run", {}), **result.get("totals", {})}
+    named.update({f"timings.{part}": seconds for part, seconds in result.get("timings", {}).items()})
+    for section in ("flow_meters", "wall_forces", "metrics", "insertion"):
+        for part, readings in result.get(section, {}).items():
+            named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
+    return {name: nan if number is None else number for name, number in named.items()}
+
+
+def worst(outcomes: Iterable[Outcome]) -> Outcome:
+    """The most severe status of several runs, with the different reasons of all of them and the sum of the seconds."""
+    found = list(outcomes)
+    status = max((each.status for each in found), key=SEVERITY.index, default=NOT_RUN)
+    reasons = dict.fromkeys(each.reason for each in found if each.reason)
+    return Outcome(status, " ".join(reasons), sum(each.seconds for each in found if each.seconds == each.seconds))

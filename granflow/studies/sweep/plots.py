@@ -1,0 +1,210 @@
+"""Interactive plots of a sweep: main effects, scatter matrix, heat maps, parallel coordinates, Sobol indices."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from granflow.studies.figures import COLORS
+from granflow.studies.report.plots import Plot
+from granflow.studies.sweep.axes import COLOR_SCALE, axis, last_key, layout, plain, row_of_axes
+from granflow.studies.sweep.sensitivity import SobolIndices
+from granflow.studies.sweep.table import PointRow, SweepTable, label
+
+MOST_LEVELS = 12
+"""Largest number of values of a parameter with a mean of their own; more are combined in BINS intervals."""
+
+BINS = 8
+
+MOST_LINES = 500
+"""Largest number of runs in the parallel coordinates."""
+
+MOST_HEAT_MAPS = 6
+"""Largest number of pairs of parameters with a heat map for each quantity."""
+
+HEIGHT, MATRIX_CELL = 340, 150
+"""Height of a plot, and of a row of the scatter matrix [pixels]."""
+
+
+def hover(row: PointRow, table: SweepTable) -> str:
+    """Text at the pointer: parameters, quantities and run directories."""
+    lines = [f"{last_key(name)} = {plain(row.point.values[name], 4)}" for name in table.parameters]
+    lines += [f"{label(name)} = {plain(row.mean(name), 4)}" for name in table.quantities]
+    return "<br>".join([*lines, *(f"runs/{name}" for name in row.directories)])
+
+
+def usable_rows(table: SweepTable) -> list[PointRow]:
+    """The rows with at least one number."""
+    return [row for row in table.rows if any(np.isfinite(row.mean(name)) for name in table.quantities)]
+
+
+def main_effects(table: SweepTable, quantity: str) -> Plot:
+    """Points, and mean over all points with the same value of a parameter, one plot for each parameter."""
+    rows = [row for row in table.rows if np.isfinite(row.mean(quantity))]
+    data = []
+    for k, name in enumerate(table.parameters):
+        axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
+        values = [plain(row.point.values[name]) for row in rows]
+        data.append(
+            {"type": "scatter", "mode": "markers", "x": values, "y": [plain(row.mean(quantity)) for row in rows],
+             "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6}, "hoverinfo": "text",
+             "hovertext": [hover(row, table) for row in rows], **axes}
+        )  # fmt: skip
+        data.append({**_mean_line(values, rows, quantity), **axes})
+    titles = [last_key(name) for name in table.parameters]
+    caption = (
+        f"{label(quantity)}: mean over all points with the same value of a parameter, or in equal intervals of it "
+        "(line), with its standard error, and all points (light)"
+    )
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, label(quantity)))})
+
+
+def _mean_line(values: Sequence[Any], rows: Sequence[PointRow], quantity: str) -> dict[str, Any]:
+    """Means with standard errors over the values of one parameter.
+
+    The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its points.
+    """
+    groups = _groups(values)
+    means, errors, positions = [], [], []
+    for position, members in groups:
+        numbers = np.array([rows[k].mean(quantity) for k in members])
+        seeds = np.array([rows[k].standard_error(quantity) for k in members])
+        binned = len({values[k] for k in members}) > 1
+        scatter = numbers.std(ddof=1) / np.sqrt(len(numbers)) if len(numbers) > 1 and binned else np.nan
+        from_seeds = float(np.sqrt((seeds**2).sum())) / len(seeds)
+        positions.append(position)
+        means.append(plain(float(numbers.mean())))
+        errors.append(plain(float(scatter if binned else from_seeds)) or 0.0)
+    return {
+        "type": "scatter", "mode": "lines+markers", "x": positions, "y": means, "hoverinfo": "x+y",
+        "error_y": {"type": "data", "array": errors, "color": COLORS[0]}, "line": {"color": COLORS[0], "width": 2},
+        "marker": {"size": 7},
+    }  # fmt: skip
+
+
+def _groups(values: Sequence[Any]) -> list[tuple[Any, list[int]]]:
+    """Indices of the points with each value, or in each of BINS intervals with their mean value, in order."""
+    distinct = sorted(set(values)) if all(isinstance(v, float) for v in values) else list(dict.fromkeys(values))
+    if len(distinct) <= MOST_LEVELS or not all(isinstance(v, float) for v in distinct):
+        return [(value, [k for k, each in enumerate(values) if each == value]) for value in distinct]
+    edges = np.linspace(distinct[0], distinct[-1], BINS + 1)
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    members = [np.flatnonzero(number == k).tolist() for k in range(BINS)]
+    return [(plain(float(np.mean([values[k] for k in each]))), each) for each in members if each]
+
+
+def scatter_matrix(table: SweepTable) -> Plot:
+    """Each parameter and quantity against each other."""
+    rows = usable_rows(table)
+    dimensions = [
+        {"label": last_key(name), "values": [plain(row.point.values[name]) for row in rows]}
+        for name in table.parameters
+    ] + [{"label": name, "values": [plain(row.mean(name)) for row in rows]} for name in table.quantities]
+    data = {
+        "type": "splom", "dimensions": dimensions, "text": [hover(row, table) for row in rows], "hoverinfo": "text",
+        "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7}, "diagonal": {"visible": False},
+        "showupperhalf": False,
+    }  # fmt: skip
+    height = MATRIX_CELL * len(dimensions) + 90
+    caption = "All parameters and quantities against each other (SI units)"
+    return Plot(caption, {"data": [data], "layout": layout(height)})
+
+
+def heat_maps(table: SweepTable) -> list[Plot]:
+    """Each quantity over each two parameters of a grid, averaged over the other parameters."""
+    levels = {
+        name: list(dict.fromkeys(plain(row.point.values[name]) for row in table.rows)) for name in table.parameters
+    }
+    pairs = list(combinations(table.parameters, 2))[:MOST_HEAT_MAPS]
+    small = [pair for pair in pairs if len(levels[pair[0]]) * len(levels[pair[1]]) <= len(table.rows)]
+    return [_heat_map(table, quantity, *pair, levels) for quantity in table.quantities for pair in small]
+
+
+def _heat_map(table: SweepTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]) -> Plot:
+    """One quantity over two parameters."""
+    cells: dict[tuple[Any, Any], list[PointRow]] = {}
+    for row in table.rows:
+        cells.setdefault((plain(row.point.values[first]), plain(row.point.values[second])), []).append(row)
+
+    def mean(x: Any, y: Any) -> float | None:
+        values = [value for row in cells.get((x, y), ()) if np.isfinite(value := row.mean(quantity))]
+        return plain(float(np.mean(values))) if values else None
+
+    def text(x: Any, y: Any) -> str:
+        members = cells.get((x, y), [])
+        return hover(members[0], table) if len(members) == 1 else f"mean of {len(members)} points"
+
+    names = [[str(each) for each in levels[name]] for name in (first, second)]
+    data = {
+        "type": "heatmap", "x": names[0], "y": names[1], "colorscale": COLOR_SCALE, "hoverinfo": "text+z",
+        "z": [[mean(x, y) for x in levels[first]] for y in levels[second]],
+        "text": [[text(x, y) for x in levels[first]] for y in levels[second]],
+        "colorbar": {"title": {"text": label(quantity)}},
+    }  # fmt: skip
+    axes = {"xaxis": axis(last_key(first), type="category"), "yaxis": axis(last_key(second), type="category")}
+    caption = f"{label(quantity)} over {first} and {second}"
+    return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
+
+
+def parallel_coordinates(table: SweepTable) -> Plot:
+    """One line per point over all parameters and quantities, each scaled to its range; color: the first quantity."""
+    rows = usable_rows(table)
+    shown = rows[:: -(-len(rows) // MOST_LINES)]
+    columns = {last_key(name): [row.point.values[name] for row in rows] for name in table.parameters}
+    columns |= {label(name): [row.mean(name) for row in rows] for name in table.quantities}
+    shares = {name: dict(zip(map(id, rows), _shares(values), strict=True)) for name, values in columns.items()}
+    names, color = list(columns), label(table.quantities[0])
+    data = [
+        {"type": "scatter", "mode": "lines+markers", "x": names, "y": [shares[name][id(row)] for name in names],
+         "line": {"color": _color(shares[color][id(row)]), "width": 1.5}, "marker": {"size": 5},
+         "hovertext": hover(row, table), "hoverinfo": "text"}
+        for row in shown
+    ]  # fmt: skip
+    ends = [f"{name}<br>{_end(values, min)} to {_end(values, max)}" for name, values in columns.items()]
+    x_axis = axis("", tickvals=names, ticktext=ends)
+    y_axis = axis("share of the range")
+    caption = (
+        f"Each line is a point; {len(shown)} of {len(rows)} points, colored from low (blue) to high (orange) {color}"
+    )
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT + 60, xaxis=x_axis, yaxis=y_axis)})
+
+
+def _shares(values: Sequence[Any]) -> list[float | None]:
+    """Positions of the values in their range, 0 to 1; of text in the order of its first appearance."""
+    if not all(isinstance(each, int | float) for each in values):
+        names = list(dict.fromkeys(map(str, values)))
+        return [names.index(str(each)) / max(len(names) - 1, 1) for each in values]
+    numbers = np.array(values, dtype=float)
+    if not np.isfinite(numbers).any():
+        return [None] * len(values)
+    low, high = np.nanmin(numbers), np.nanmax(numbers)
+    return [plain(float(each)) for each in (numbers - low) / (high - low if high > low else 1.0)]
+
+
+def _end(values: Sequence[Any], end: Any) -> Any:
+    """Smallest or largest of the values that are numbers; of text the first or last in the alphabet."""
+    numbers = [each for each in values if isinstance(each, int | float) and each == each]
+    return plain(end(numbers), 3) if numbers else end(map(str, values), default="")
+
+
+def _color(share: float | None) -> str:
+    """Color from blue to orange at a share of a range; gray without a number."""
+    if share is None:
+        return "#999999"
+    low, high = ([int(color[k : k + 2], 16) for k in (1, 3, 5)] for color in (COLORS[0], COLORS[4]))
+    return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(low, high, strict=True))
+
+
+def sobol_plot(table: SweepTable, indices: SobolIndices) -> Plot:
+    """First-order and total indices of one quantity, with their 95 % confidence intervals."""
+    names = [last_key(name) for name in table.parameters]
+    bars = (("first order", indices.first, indices.first_interval), ("total", indices.total, indices.total_interval))
+    data = [
+        {"type": "bar", "name": name, "x": names, "y": [plain(float(v)) for v in values],
+         "error_y": {"type": "data", "array": [plain(float(v)) for v in interval]}, "marker": {"color": COLORS[k]}}
+        for k, (name, values, interval) in enumerate(bars)
+    ]  # fmt: skip
+    caption = f"Sobol indices of {label(indices.quantity)} with 95 % confidence intervals"
+    axes = {"xaxis": axis(""), "yaxis": axis("share of the variance")}
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT, barmode="group", **axes) | {"showlegend": True}})

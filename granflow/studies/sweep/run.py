@@ -1,0 +1,136 @@
+"""Runs a sweep: checks all points, carries out the missing runs, and writes tables and page."""
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from granflow.errors import FileError, GranflowError, SceneError
+from granflow.io.lock import locked
+from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
+from granflow.studies.run_processes.driver import Driver, Progress, Report
+from granflow.studies.run_processes.executors import Workers, executor_for
+from granflow.studies.run_processes.outcome import Outcome
+from granflow.studies.run_processes.settings import relocated
+from granflow.studies.sweep.design import DesignPoint, design_points
+from granflow.studies.sweep.page import write_sweep_page
+from granflow.studies.sweep.schema import SweepInput, keys_of
+from granflow.studies.sweep.table import SweepTable, table_of, write_tables
+
+STOP_FILE = ".stop"
+"""File in the directory of a sweep whose presence stops its runs."""
+
+TABLE_INTERVAL = 10.0
+"""Shortest time [s] between two updates of the tables during the runs."""
+
+Points = Sequence[tuple[DesignPoint, Sequence[CheckedRun | str]]]
+"""Each point with its runs, or the reasons why these are refused."""
+
+
+@dataclass(frozen=True)
+class SweepFile:
+    """A valid sweep: its content, the scene file, its name, and the position of each varied or set key of the scene."""
+
+    content: SweepInput
+    scene: Path
+    name: str
+    positions: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any], folder: Path | None = None) -> SweepFile:
+    """Read a sweep from a YAML file, or from a mapping with the same keys.
+
+    The path of the scene is relative to the folder of the file, or to `folder`. Raises FileError with all problems.
+    """
+    if isinstance(source, Mapping):
+        content, document = validated_mapping(source, SweepInput)
+        folder, name = folder or Path(), "sweep"
+    else:
+        content, document = validated_file(Path(source), SweepInput, "sweep")
+        folder, name = Path(source).parent, Path(source).stem
+    scene = folder / content.scene
+    if not scene.is_file():
+        position = document.value_position(("scene",))
+        raise FileError(f"{position}: scene is {content.scene}, but there is no file {scene}.")
+    positions = {key: str(document.key_position(("set", key))) for key in content.settings}
+    for parameter, variation in content.vary.items():
+        positions |= dict.fromkeys(keys_of(parameter, variation), str(document.key_position(("vary", parameter))))
+    return SweepFile(content, scene, name, positions)
+
+
+def checked_points(sweep: SweepFile, common: RunSettings) -> Points:
+    """All points with their checked runs, one for each seed; a reason in place of a refused run.
+
+    Raises FileError if every run is refused, with the different reasons, at their positions in the sweep file.
+    """
+    found = [
+        (point, [_checked(sweep, point, common, offset) for offset in range(sweep.content.repeat.seeds)])
+        for point in design_points(sweep.content)
+    ]
+    runs = [run for _, each in found for run in each]
+    if all(isinstance(run, str) for run in runs):
+        raise FileError(list(dict.fromkeys(str(run) for run in runs)))
+    return found
+
+
+def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_offset: int) -> CheckedRun | str:
+    """A checked run, or the reason why it is refused."""
+    try:
+        return checked_run(sweep.scene, point.settings, sweep.content.read, common, seed_offset)
+    except SceneError as error:
+        return " ".join(relocated(error, sweep.positions).problems)
+    except GranflowError as error:
+        return str(error)
+
+
+def run_sweep(
+    sweep: SweepFile,
+    out: Path,
+    workers: Workers,
+    arch: str = "cpu",
+    stop: Event | None = None,
+    report: Report = lambda *_: None,
+) -> SweepTable:
+    """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
+
+    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress.
+    Raises GranflowError if the sweep or the workers are not valid, or if another process runs a sweep in `out`.
+    """
+    stop = stop or Event()
+    with locked(out):
+        common = RunSettings(out / "runs", workers.threads, arch, out / STOP_FILE)
+        common.stop_file.unlink(missing_ok=True)
+        points = checked_points(sweep, common)
+        runs = [run for _, each in points for run in each if isinstance(run, CheckedRun)]
+        names = (tuple(sweep.content.vary), sweep.content.read)
+        with executor_for(workers) as (executor, slots):
+            updates = _Updates(out, lambda outcomes: table_of(*names, points, outcomes), report)
+            driver = Driver(executor, slots, stop, updates.report)
+            updates.outcomes = driver.outcomes
+            try:
+                driver.run(runs)
+            finally:
+                table = table_of(*names, points, driver.outcomes)
+                write_tables(out, table)
+        write_sweep_page(out, sweep.content, sweep.name, table)
+        return table
+
+
+class _Updates:
+    """Updates the tables during the runs, at most every TABLE_INTERVAL."""
+
+    def __init__(self, out: Path, table: Callable[[Mapping[str, Outcome]], SweepTable], report: Report) -> None:
+        self._out, self._table, self._report = out, table, report
+        self._written = time.monotonic()
+        self.outcomes: Mapping[str, Outcome] = {}
+
+    def report(self, progress: Progress, event: str) -> None:
+        """Report the progress, and write the tables if they are old."""
+        self._report(progress, event)
+        if time.monotonic() - self._written > TABLE_INTERVAL:
+            write_tables(self._out, self._table(self.outcomes))
+            self._written = time.monotonic()

@@ -1,0 +1,125 @@
+"""Evaluation of tangential and rolling models along given paths of one contact, on the device."""
+
+from dataclasses import dataclass
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+
+from granflow.contact.surface_law import TangentialLaw
+from granflow.engine.force.structs import build_constants, build_slot_history, build_slot_vector
+from granflow.kernel_language import ti
+
+NUMBERS = (
+    *("radius_eff", "mass_eff", "inertia_eff", "time_step", "longest_time_step", "overlap", "overlap_rate"),
+    *("normal_load", "stiffness", "stiffness_ratio"),
+)
+VECTORS = ("normal", "normal_half", "slip", "rolling_rate")
+"""Members of the struct `contact` of tangential and rolling models."""
+
+
+@dataclass(frozen=True)
+class SurfaceLaws:
+    """One tangential or rolling model as `ContactLaws`, without a normal model."""
+
+    law: object
+
+    @property
+    def by_slot(self):
+        return {"surface": self.law}
+
+    @property
+    def constant_names(self):
+        return {"surface": self.law.constant_names}
+
+    @property
+    def parameters(self):
+        return {"surface": self.law.parameters}
+
+    @property
+    def history(self):
+        return {"surface": self.law.history}
+
+
+@dataclass(frozen=True)
+class SurfaceResult:
+    """Forces [N] or torques [N m] (contacts, steps, 3), energies [J] (contacts, steps), history as a table."""
+
+    force: np.ndarray
+    loss: np.ndarray
+    stored: np.ndarray
+    history: np.ndarray
+
+
+def evaluate_surface(law, pair, numbers, vectors):
+    """Forces along paths; `numbers` (contacts, steps) and `vectors` (contacts, steps, 3) are by name."""
+    shape = vectors["normal"].shape[:2]
+    table = np.ascontiguousarray(np.stack([np.broadcast_to(numbers[name], shape) for name in NUMBERS], axis=2), float)
+    cube = np.ascontiguousarray(np.stack([vectors[name] for name in VECTORS], axis=2), float)
+    found = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape), np.zeros((*shape, max(law.history_count, 1)))
+    row = np.array(law.pair_constants(pair)), np.array(list(law.parameters.values()) or [0.0])
+    surface_kernel(law)(*row, table, cube, *found)
+    return SurfaceResult(*found)
+
+
+@cache
+def surface_kernel(law):
+    """A kernel that evaluates a tangential or rolling model along paths."""
+    laws, size = SurfaceLaws(law), max(law.history_count, 1)
+    constants_of, counts = build_constants(laws), (len(law.constant_names), max(len(law.parameters), 1))
+    history_of, vector_of = build_slot_history(laws, "surface"), build_slot_vector(laws, "surface")
+    model_force = law.force if isinstance(law, TangentialLaw) else law.torque
+    has_history = law.history_count > 0
+    row, square, cube, four = (ti.types.ndarray(ti.f64, dimensions) for dimensions in (1, 2, 3, 4))
+
+    @ti.func
+    def vector(numbers: ti.template(), count: ti.template()):
+        return ti.Vector([numbers[k] for k in ti.static(range(count))])
+
+    @ti.func
+    def contact_of(numbers: ti.template(), vectors: ti.template(), i, s):
+        return ti.Struct(
+            **{name: numbers[i, s, k] for k, name in ti.static(enumerate(NUMBERS))},
+            **{
+                name: ti.Vector([vectors[i, s, k, 0], vectors[i, s, k, 1], vectors[i, s, k, 2]])
+                for k, name in ti.static(enumerate(VECTORS))
+            },
+        )
+
+    @ti.kernel
+    def evaluate(pair: row, parameters: row, numbers: cube, vectors: four, force: cube, loss: square, stored: square,
+                 history: cube):  # fmt: skip
+        for i in range(loss.shape[0]):
+            state = ti.Vector.zero(ti.f64, size)
+            constants = constants_of(vector(pair, counts[0]), vector(parameters, counts[1])).surface
+            for s in range(loss.shape[1]):
+                contact = contact_of(numbers, vectors, i, s)
+                found, history_new, lost = model_force(constants, contact, history_of(state))
+                if ti.static(has_history):
+                    state = vector_of(history_new)
+                loss[i, s], stored[i, s] = lost, law.stored_energy(constants, contact, history_new)
+                for k in ti.static(range(3)):
+                    force[i, s, k] = found[k]
+                for k in ti.static(range(size)):
+                    history[i, s, k] = state[k]
+
+    return evaluate
+
+
+def evaluate_surface_reference(law, pair, numbers, vectors):
+    """The same as `evaluate_surface` by the reference implementation: force and history."""
+    shape = vectors["normal"].shape[:2]
+    force, history = np.zeros((*shape, 3)), np.zeros((*shape, max(law.history_count, 1)))
+    constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(pair), strict=True)))
+    for i in range(shape[0]):
+        state = {each.name: 0.0 if each.size == 1 else np.zeros(3) for each in law.history}
+        for s in range(shape[1]):
+            contact = {name: float(np.broadcast_to(numbers[name], shape)[i, s]) for name in NUMBERS}
+            contact |= {name: vectors[name][i, s] for name in VECTORS}
+            force[i, s], changed = law.reference(
+                SimpleNamespace(constants=constants, history=SimpleNamespace(**state), **contact)
+            )
+            state |= dict(changed)
+            if state:
+                history[i, s] = np.concatenate([np.atleast_1d(value) for value in state.values()])
+    return force, history

@@ -1,0 +1,236 @@
+"""Cohesion models with a closed form: pull-off force, work of adhesion, range, and impacts that stick or rebound."""
+
+import math
+
+import numpy as np
+import pytest
+from contact.bonds import MODULUS, OPTIONS, RADIUS, evaluate_bonds, evaluate_reference_bonds, law_of, pair_with
+from geometry.meshes import sheet, write
+from scene_builders import build_scene, particle_group, plane, run_to_end
+from scipy.integrate import quad
+
+from granflow.contact.material import Solid, modulus_eff
+from granflow.plan.build import plan_for
+from granflow.plan.explain import explain
+
+WORK = OPTIONS["work_of_adhesion"]
+LENGTH = (2.0 * math.pi * WORK * RADIUS**2 / MODULUS) ** (2.0 / 3.0) / RADIUS
+"""The unit of overlaps of JKR [m], a_s^2 / R."""
+BONDS = ("jkr", "capillary")
+
+
+def hertz(overlap):
+    """Hertz force [N]."""
+    return 4.0 / 3.0 * MODULUS * np.sqrt(RADIUS) * np.maximum(overlap, 0.0) ** 1.5
+
+
+def pulled(law, steps=20000):
+    """A contact that is pressed together and then pulled apart beyond the range, in small steps [m]."""
+    largest = max(3.0 * LENGTH, 0.2 * law.range)
+    return np.concatenate(
+        [np.linspace(0.0, largest, steps)[1:], np.linspace(largest, -1.1 * law.range, 4 * steps)[1:]]
+    )[None, :]
+
+
+def test_jkr_pull_off_force_and_distance(taichi_f64):
+    """Smallest force -3/2 pi w R; snap-off at a = a_s / 4^(2/3), which is the distance 3/4 4^(-1/3) d_s (JKR 1971)."""
+    law, pair = law_of("jkr", pair_with()), pair_with()
+    overlap = pulled(law)
+    found = evaluate_bonds(law, pair, overlap)
+    force = hertz(overlap) - found.attraction
+    assert -force.min() == pytest.approx(1.5 * math.pi * WORK * RADIUS, rel=1e-3)
+    assert law.pull_off_force(pair, RADIUS) == pytest.approx(1.5 * math.pi * WORK * RADIUS, rel=1e-12)
+    bonded = found.history[0, :, 0] == 1.0
+    assert -overlap[0, bonded].min() == pytest.approx(0.75 * 4.0 ** (-1.0 / 3.0) * LENGTH, rel=1e-3)
+    at_snap = force[0, np.flatnonzero(bonded)[-1]]
+    assert at_snap == pytest.approx(-5.0 / 6.0 * math.pi * WORK * RADIUS, rel=0.02), "5/9 of the pull-off force"
+    assert not found.attraction[0, ~bonded].any()
+
+
+def test_jkr_work_of_adhesion(taichi_f64):
+    """7.09 (w^5 R^4 / E^2)^(1/3) is lost in one contact (Thornton & Ning 1998), as the integral of the force."""
+    law, pair = law_of("jkr", pair_with()), pair_with()
+    overlap = pulled(law)
+    found = evaluate_bonds(law, pair, overlap)
+    expected = 7.09 * (WORK**5 * RADIUS**4 / MODULUS**2) ** (1.0 / 3.0)
+    assert found.lost[0, -1] == pytest.approx(expected, rel=1e-3)
+    force = (hertz(overlap) - found.attraction)[0]
+    work = np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(overlap[0]))
+    assert work == pytest.approx(expected, rel=1e-3)
+
+
+def test_capillary_work_and_force(taichi_f64):
+    """Force and work against the formulas of the papers, integrated by quadrature; equal spheres of radius 2 R."""
+    law, pair = law_of("capillary", pair_with()), pair_with()
+    overlap = pulled(law)
+    found = evaluate_bonds(law, pair, overlap)
+    volume, sphere = OPTIONS["liquid_volume"], 2.0 * RADIUS
+    touching = 2.0 * math.pi * sphere * OPTIONS["surface_tension"] * math.cos(OPTIONS["contact_angle"])
+
+    def force(distance):
+        u = 0.5 * distance * math.sqrt(sphere / volume)
+        return touching / (1.0 + 2.1 * u + 10.0 * u * u)
+
+    rupture = (1.0 + 0.5 * OPTIONS["contact_angle"]) * volume ** (1.0 / 3.0)
+    bonded = found.history[0, :, 0] == 1.0
+    assert -overlap[0, bonded].min() == pytest.approx(rupture, rel=1e-3)
+    assert found.attraction.max() == pytest.approx(touching, rel=1e-12)
+    assert law.pull_off_force(pair, RADIUS) == pytest.approx(touching, rel=1e-12)
+    open_bonds = np.flatnonzero(bonded & (overlap[0] < 0.0))[::500]
+    np.testing.assert_allclose(found.attraction[0, open_bonds], [force(-d) for d in overlap[0, open_bonds]], rtol=1e-12)
+    work = quad(force, 0.0, rupture, epsrel=1e-10)[0]
+    assert found.lost[0, -1] == pytest.approx(work, rel=1e-9)
+
+
+def random_distances(law, contacts=100, steps=60, seed=7):
+    """Overlaps [m] with touches, separations within the range and ruptures."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1.3, 1.0, (contacts, steps)) * max(law.range, 0.3 * LENGTH)
+
+
+@pytest.mark.parametrize("name", ["dmt", "jkr", "capillary", "van_der_waals"])
+def test_device_equals_its_reference(taichi_f64, name):
+    """The reference of JKR finds the contact radius as a root of a polynomial: sensitive at snap-off, a double root."""
+    law, pair = law_of(name, pair_with()), pair_with()
+    overlap = random_distances(law)
+    if name == "dmt":
+        overlap = np.abs(overlap)
+    found = evaluate_bonds(law, pair, overlap).attraction
+    expected = evaluate_reference_bonds(law, pair, overlap)
+    assert np.array_equal(found == 0.0, expected == 0.0) and (found > 0.0).sum() > 1000
+    assert np.all(found[overlap < -law.range] == 0.0)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=(1e-7 if name == "jkr" else 1e-13) * expected.max())
+    far = overlap > -0.4 * LENGTH
+    np.testing.assert_allclose(found[far], expected[far], rtol=0.0, atol=1e-12 * expected.max())
+
+
+@pytest.mark.parametrize("name", [*BONDS, "van_der_waals", "dmt", "sjkr"])
+def test_force_is_the_derivative_of_the_energy_and_losses_only_grow(taichi_f64, name):
+    law, pair = law_of(name, pair_with()), pair_with()
+    overlap = pulled(law)
+    found = evaluate_bonds(law, pair, overlap)
+    assert np.diff(found.lost[0]).min() >= 0.0
+    acts = found.attraction[0] > 0.0
+    both = acts[1:] & acts[:-1]
+    mean_force = 0.5 * (found.attraction[0, 1:] + found.attraction[0, :-1])
+    change = np.diff(found.stored[0]) + mean_force * np.diff(overlap[0])
+    assert np.abs(change[both]).sum() <= 1e-3 * np.abs(found.stored).max()
+    assert found.stored[0, -1] == 0.0
+
+
+@pytest.mark.parametrize(("name", "without"), [("jkr", "work_of_adhesion"), ("capillary", "liquid_volume")])
+def test_a_pair_without_adhesion_has_no_force(taichi_f64, name, without):
+    law, plain = law_of(name, pair_with()), pair_with(**{without: 0.0})
+    found = evaluate_bonds(law, plain, random_distances(law))
+    assert not found.attraction.any() and np.abs(found.lost).max() == 0.0
+    assert np.isfinite(found.history).all()
+
+
+DENSITY, DIAMETER = 2500.0, 2.0 * RADIUS
+SOLID = {"young_modulus": 2e7, "poisson_ratio": 0.3, "density": DENSITY}
+SLIDING = 0.05
+"""Velocity [m/s] along a floor without friction: a contact crosses the line y = 0, an edge of the mesh."""
+SHARES = (0.99, 1.01, 1.5, 3.0)
+"""Impact velocities over the sticking velocity."""
+
+
+def lost_energy(name, radius_eff):
+    """Energy [J] that one contact of the model loses: Thornton & Ning (1998); integral of the capillary force."""
+    solid = Solid(SOLID["young_modulus"], SOLID["poisson_ratio"], DENSITY)
+    if name == "jkr":
+        return 7.09 * (WORK**5 * radius_eff**4 / modulus_eff(solid, solid) ** 2) ** (1.0 / 3.0)
+    volume, angle = OPTIONS["liquid_volume"], OPTIONS["contact_angle"]
+    touching = 4.0 * math.pi * radius_eff * OPTIONS["surface_tension"] * math.cos(angle)
+
+    def force(distance):
+        u = distance * math.sqrt(2.0 * radius_eff / volume)
+        return touching / (1.0 + 1.05 * u + 2.5 * u * u)
+
+    return quad(force, 0.0, (1.0 + 0.5 * angle) * volume ** (1.0 / 3.0))[0]
+
+
+def impacts(name, chunk_size, gravity=0.0, floor_wall=None):
+    """A scene of particles that hit a floor or another particle at rest, and the two sticking velocities."""
+    mass = DENSITY * math.pi / 6.0 * DIAMETER**3
+    floor = math.sqrt(2.0 * lost_energy(name, RADIUS) / mass)
+    pair = math.sqrt(2.0 * lost_energy(name, 0.5 * RADIUS) / (0.5 * mass))
+    gap = 0.01 * RADIUS
+    falling = [[10.0 * RADIUS * k, -1e-5, RADIUS + gap] for k in range(len(SHARES))]
+    targets = [[10.0 * RADIUS * k, 0.0, 30.0 * RADIUS] for k in range(len(SHARES))]
+    shots = [[x, y, z + DIAMETER + gap] for x, y, z in targets]
+    speeds = np.array([*(-floor * np.array(SHARES)), *np.zeros(len(SHARES)), *(-pair * np.array(SHARES))])
+    group = particle_group(
+        [*falling, *targets, *shots], DIAMETER, velocity=np.stack([0 * speeds, 0 * speeds + SLIDING, speeds], 1)
+    )
+    options = {key: OPTIONS[key] for key in model_keys(name)}
+    wall = floor_wall or plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    scene = build_scene(
+        {"balls": group}, {"floor": wall}, pair={"restitution": 1.0} | options,
+        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": name},
+        materials={"glass": SOLID}, domain={"min": [-0.01] * 3, "max": [0.05] * 3, "on_exit": "error"},
+        run={"duration": 20000 * 2e-8, "time_step": 2e-8, "velocity_max": 5.0 * max(floor, pair)},
+        gravity=[0.0, 0.0, -gravity], numerics={"chunk_size": chunk_size},
+        output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    return scene, floor, pair, mass
+
+
+def model_keys(name):
+    """Keys of pairs that the model requires."""
+    return ("work_of_adhesion",) if name == "jkr" else ("surface_tension", "contact_angle", "liquid_volume")
+
+
+@pytest.mark.parametrize(
+    ("name", "chunk_size"),
+    [
+        ("jkr", 12),
+        pytest.param("jkr", 1, marks=pytest.mark.slow),
+        pytest.param("capillary", 12, marks=pytest.mark.slow),
+        ("capillary", 1),
+    ],
+)
+def test_impacts_stick_below_the_sticking_velocity_and_lose_the_work_of_adhesion(taichi_f64, name, chunk_size):
+    """Rebound velocity sqrt(v^2 - v_s^2), v_s = sqrt(2 W / M) (Thornton & Ning 1998), at walls and particles.
+
+    Several particles per chunk are evaluated in batches, with half of the neighbor list.
+    """
+    scene, floor, pair, mass = impacts(name, chunk_size)
+    last, _ = run_to_end(scene)
+    velocity = last.particles["velocity"][np.argsort(last.particles["id"]), 2].reshape(3, len(SHARES))
+    rebound = np.sqrt(np.maximum(np.array(SHARES) ** 2 - 1.0, 0.0))
+    relative = np.array([velocity[0] / floor, (velocity[2] - velocity[1]) / pair])
+    for found in relative:
+        np.testing.assert_allclose(found[1:], rebound[1:], rtol=0.02, atol=0.02)
+    position = last.particles["position"][np.argsort(last.particles["id"]), 2].reshape(3, len(SHARES))
+    gaps = np.array([position[0] - RADIUS, position[2] - position[1] - DIAMETER])
+    within = plan_for(scene).laws.range
+    assert np.all(gaps[:, 0] < within) and np.all(gaps[:, 1:] > within), "the slowest impact sticks"
+    ends = 3 * (lost_energy(name, RADIUS) + lost_energy(name, 0.5 * RADIUS))
+    start = 0.5 * mass * np.sum((floor**2 + pair**2) * np.array(SHARES) ** 2)
+    assert last.totals["plastic_dissipation"] >= ends * 0.999
+    assert abs(last.totals["energy_error"]) < 2e-3, "relative error of the energy budget"
+    assert last.totals["plastic_dissipation"] < start
+
+
+@pytest.mark.slow
+def test_bonds_slide_from_one_triangle_of_a_mesh_to_the_next(taichi_f64, tmp_path, monkeypatch):
+    """The same velocities as on a plane, for contacts that cross an edge of the mesh while bonded."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "sheet.stl", *sheet(8, 0.02))
+    mesh = {"shape": "mesh", "file": "sheet.stl", "material": "glass"}
+    velocities = []
+    for wall in (None, mesh):
+        scene, floor, *_ = impacts("capillary", 12, floor_wall=wall)
+        last, _ = run_to_end(scene)
+        order = np.argsort(last.particles["id"])[: len(SHARES)]
+        velocities.append(last.particles["velocity"][order, 2] / floor)
+        assert np.all(last.particles["position"][order, 1] > 0.0)
+    np.testing.assert_allclose(velocities[1], velocities[0], rtol=0.0, atol=1e-3)
+
+
+def test_explain_shows_the_bond_number():
+    """Pull-off force over weight: 3/2 pi w R / (m g), with R of the particle at a wall."""
+    scene, *_ = impacts("jkr", 12, gravity=10.0)
+    text = explain(plan_for(scene))
+    mass = DENSITY * math.pi / 6.0 * DIAMETER**3
+    assert f"{1.5 * math.pi * WORK * RADIUS / (mass * 10.0):.3g}" in text.split("Bond number")[1].split("\n")[0]

@@ -1,0 +1,58 @@
+"""Numbers of contact models are no literals of kernels: models that differ in numbers share compiled kernels."""
+
+import os
+
+import numpy as np
+from contact.cases import kernel_for
+from contact.surface_paths import surface_kernel
+from contact.test_registry import RECORDS
+from subprocess_runner import in_subprocess
+
+from granflow.contact.law import ModelRequest, NormalLaw
+from granflow.contact.laws import ContactLaws
+from granflow.contact.material import PairMaterial, VelocityRestitution
+from granflow.contact.normal.hertz import Hertz
+from granflow.contact.options import Amount
+from granflow.contact.surface_law import RollingLaw, TangentialLaw
+from granflow.engine import backend
+
+
+def variants(model, number):
+    """Laws of a record for each word and key of its choices, with every number equal to `number`."""
+    values = {
+        key: [number] if isinstance(option, Amount) else [*option.words, *({key: number} for key in option.keyed)]
+        for key, option in model.options.items()
+    }
+    first = {key: choices[0] for key, choices in values.items()}
+    settings = [first, *({**first, key: value} for key, choices in values.items() for value in choices[1:])]
+    fit = model.restitution == "number or fit"
+    restitution = VelocityRestitution(number, 0.9 * number, 1.0 + number) if fit else number
+    options = {option.key: number for option in model.pair_options}
+    pair = PairMaterial(4e7 * number, 1e7, restitution, number, yield_strength=1e6 * number, options=options)
+    return [model.law.from_scene(ModelRequest(given, (pair,), number, 0.9 * number, True)) for given in settings]
+
+
+def compile_models(number, folder):
+    """Compile one kernel for each variant of each registered model."""
+    os.environ["GRANFLOW_CACHE"] = folder
+    backend.start("cpu", "f64", 1)
+    for law in (law for model in RECORDS for law in variants(model, number)):
+        evaluate(law)
+
+
+def evaluate(law):
+    """Compile and launch a kernel that contains the device functions of a law, on no contacts."""
+    flat, cube, row = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(9)
+    if isinstance(law, TangentialLaw | RollingLaw):
+        surface_kernel(law)(row, row, cube, np.zeros((0, 0, 0, 0)), cube, flat, flat, cube)
+    else:
+        laws = ContactLaws(law) if isinstance(law, NormalLaw) else ContactLaws(Hertz(False), cohesion=law)
+        kernel_for(laws)(row, row, 0.1, 0.1, 1e-5, *(flat for _ in range(7)), cube)
+
+
+def test_models_with_other_numbers_add_no_compiled_kernel(tmp_path):
+    in_subprocess(compile_models, 0.3, str(tmp_path))
+    compiled = {path.name for path in tmp_path.glob("*.tic")}
+    assert len(compiled) >= len(RECORDS)
+    in_subprocess(compile_models, 0.4, str(tmp_path))
+    assert {path.name for path in tmp_path.glob("*.tic")} == compiled

@@ -1,0 +1,150 @@
+"""Requirements on every tangential and rolling model of the catalog."""
+
+import numpy as np
+import pytest
+from contact.cases import SI, Units
+from contact.surface_paths import NUMBERS, VECTORS, evaluate_surface, evaluate_surface_reference
+from contact.test_registry import RECORDS
+
+from granflow.contact.law import ModelRequest
+from granflow.contact.material import PairMaterial
+
+MODELS = [model for model in RECORDS if model.slot in ("tangential", "rolling")]
+every_model = pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.slot}-{model.name}")
+every_limited_model = pytest.mark.parametrize(
+    "model", [model for model in MODELS if model.pair_options], ids=lambda model: f"{model.slot}-{model.name}"
+)
+COEFFICIENT = 0.3
+"""Friction coefficient, and value of every other pair option in SI units."""
+RADIUS, MASS, TIME_STEP = 0.01, 0.01, 1e-5
+STIFFNESS, LOAD, SLIP, RATE = 1e4, 2.0, 2e-5, 1e3
+"""The spring reaches its limit COEFFICIENT * LOAD after three steps of SLIP [m]; largest RATE [rad/s]."""
+
+
+def scales(units):
+    """Value of the SI unit of each pair option, number and vector in other units."""
+    torque, time = units.newton * units.meter, units.second
+    return {
+        "number": 1.0, "time": units.second,
+        "radius_eff": units.meter, "mass_eff": units.kilogram, "inertia_eff": units.kilogram * units.meter**2,
+        "time_step": time, "longest_time_step": time, "overlap": units.meter, "overlap_rate": units.velocity,
+        "normal_load": units.newton, "stiffness": units.newton / units.meter, "stiffness_ratio": 1.0,
+        "normal": 1.0, "normal_half": 1.0, "slip": units.meter, "rolling_rate": 1.0 / time,
+        "force": units.newton, "torque": torque, "energy": torque,
+    }  # fmt: skip
+
+
+def law_and_pair(model, coefficient=COEFFICIENT, units=SI):
+    """The law of a record with its example options, and a pair with the same value for all pair options."""
+    given = {key: each.default for key, each in model.options.items()} | dict(model.example)
+    options = {each.key: coefficient * scales(units)[each.amount.dimension] for each in model.pair_options}
+    pair = PairMaterial(4e7, 1.2e7, 0.5, coefficient, options=options)
+    return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
+
+
+def paths(contacts, steps, seed=1, steady=False):
+    """Numbers and vectors of contacts that slip and roll in random directions, with rates of 1e-4 to 1 times RATE.
+
+    The normal turns by up to 0.05 rad per step and stiffness and load vary, unless the path is `steady`.
+    """
+    rng = np.random.default_rng(seed)
+    shape = (contacts, steps)
+    turning, varying = (0.0, 0.0) if steady else (0.03, 0.5)
+    start, turns = 3.0 * rng.normal(0.0, 1.0, (contacts, 1, 3)), turning * rng.normal(0.0, 1.0, (contacts, steps, 3))
+    normal = np.cumsum(np.concatenate([start, turns], axis=1), axis=1)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    now, middle = normal[:, 1:], 0.5 * (normal[:, :-1] + normal[:, 1:])
+    slip, rate = (size * rng.normal(0.0, 1.0, (*shape, 3)) for size in (SLIP, RATE))
+    rate *= 10.0 ** rng.uniform(-4.0, 0.0, (contacts, 1, 1))
+    slip -= np.sum(slip * now, axis=2, keepdims=True) * now
+    stiffness = STIFFNESS * (1.0 + varying * rng.uniform(-1.0, 1.0, shape))
+    before = np.concatenate([stiffness[:, :1], stiffness[:, :-1]], axis=1)
+    numbers = {
+        "radius_eff": RADIUS, "mass_eff": MASS, "inertia_eff": 0.4 * MASS * RADIUS**2, "time_step": TIME_STEP,
+        "longest_time_step": TIME_STEP, "overlap": 1e-4, "overlap_rate": 0.0, "stiffness": stiffness,
+        "normal_load": LOAD * (1.0 + varying * rng.uniform(-1.0, 1.0, shape)), "stiffness_ratio": before / stiffness,
+    }  # fmt: skip
+    return numbers, {"normal": now, "normal_half": middle, "slip": slip, "rolling_rate": rate}
+
+
+@every_model
+def test_device_equals_its_numpy_reference(taichi_f64, model):
+    """Within one rounding of the largest force for each of the 30 steps; slip and roll reach the limit on the way."""
+    law, pair = law_and_pair(model)
+    numbers, vectors = paths(contacts=100, steps=30)
+    found = evaluate_surface(law, pair, numbers, vectors)
+    force, history = evaluate_surface_reference(law, pair, numbers, vectors)
+    assert np.all(np.abs(found.force).max(axis=(0, 1)) > 0.0)
+    np.testing.assert_allclose(found.force, force, rtol=0.0, atol=30 * 2.0**-52 * np.abs(force).max())
+    scale = np.abs(history).max(axis=(0, 1)) + np.finfo(float).tiny
+    np.testing.assert_allclose(found.history / scale, history / scale, rtol=0.0, atol=30 * 2.0**-52)
+
+
+@every_model
+def test_exchange_of_the_partners_changes_the_sign_exactly(taichi_f64, model):
+    law, pair = law_and_pair(model)
+    numbers, vectors = paths(contacts=50, steps=30, seed=2)
+    found = evaluate_surface(law, pair, numbers, vectors)
+    exchanged = evaluate_surface(law, pair, numbers, {name: -value for name, value in vectors.items()})
+    np.testing.assert_array_equal(exchanged.force, -found.force)
+    np.testing.assert_array_equal(exchanged.loss, found.loss)
+    np.testing.assert_array_equal(exchanged.stored, found.stored)
+    signs = [-1.0 if each.size == 3 else 1.0 for each in law.history for _ in range(each.size)] or [1.0]
+    np.testing.assert_array_equal(exchanged.history, found.history * signs)
+
+
+@every_model
+def test_a_contact_at_rest_has_no_force(taichi_f64, model):
+    law, pair = law_and_pair(model)
+    numbers, vectors = paths(contacts=20, steps=5, seed=3)
+    still = vectors | {"slip": 0.0 * vectors["slip"], "rolling_rate": 0.0 * vectors["rolling_rate"]}
+    assert not evaluate_surface(law, pair, numbers, still).force.any()
+
+
+@every_limited_model
+def test_force_is_zero_without_coefficient_or_load(taichi_f64, model):
+    numbers, vectors = paths(contacts=20, steps=10, seed=4)
+    law, pair = law_and_pair(model)
+    assert evaluate_surface(law, pair, numbers, vectors).force.any()
+    assert not evaluate_surface(law, pair, numbers | {"normal_load": 0.0}, vectors).force.any()
+    assert not evaluate_surface(*law_and_pair(model, 0.0), numbers, vectors).force.any()
+
+
+@every_model
+def test_work_equals_stored_plus_lost_energy_and_no_path_gains_energy(taichi_f64, model):
+    """Work by the trapezoid rule on contacts of constant normal, stiffness and load that return to their start."""
+    law, pair = law_and_pair(model)
+    numbers, vectors = paths(contacts=200, steps=24, seed=5, steady=True)
+    there_and_back = {name: np.concatenate([value, -value], axis=1) for name, value in vectors.items()}
+    there_and_back |= {name: np.concatenate([vectors[name]] * 2, axis=1) for name in ("normal", "normal_half")}
+    numbers = numbers | {
+        name: np.tile(numbers[name][:, :1], 48) for name in ("stiffness", "stiffness_ratio", "normal_load")
+    }
+    found = evaluate_surface(law, pair, numbers, there_and_back)
+    before = np.concatenate([np.zeros_like(found.force[:, :1]), found.force[:, :-1]], axis=1)
+    path = there_and_back["slip"] if model.slot == "tangential" else TIME_STEP * there_and_back["rolling_rate"]
+    work = -0.5 * np.sum((before + found.force) * path, axis=2).sum(axis=1)
+    accounted = found.stored[:, -1] + found.loss.sum(axis=1)
+    np.testing.assert_allclose(work, accounted, rtol=0.0, atol=1e-12 * np.abs(accounted).max())
+    assert accounted.min() >= -1e-14 * accounted.max()
+    assert np.count_nonzero(accounted > 1e-3 * accounted.max()) > 20
+    assert found.stored.min() >= 0.0
+
+
+@every_model
+@pytest.mark.parametrize("units", [Units(1e3, 1.0, 1.0), Units(1.0, 1e-3, 1.0), Units(1.0, 1.0, 1e6)], ids=str)
+def test_force_and_energy_scale_with_the_units(taichi_f64, model, units):
+    numbers, vectors = paths(contacts=20, steps=20, seed=6)
+    law, pair = law_and_pair(model)
+    plain = evaluate_surface(law, pair, numbers, vectors)
+    scale = scales(units)
+    scaled = evaluate_surface(
+        *law_and_pair(model, units=units),
+        {name: numbers[name] * scale[name] for name in NUMBERS},
+        {name: vectors[name] * scale[name] for name in VECTORS},
+    )
+    force = scale["force" if model.slot == "tangential" else "torque"]
+    size = np.abs(plain.force).max()
+    np.testing.assert_allclose(scaled.force / force, plain.force, rtol=0.0, atol=1e-13 * size)
+    energy = np.abs(plain.loss).max()
+    np.testing.assert_allclose(scaled.loss / scale["energy"], plain.loss, rtol=0.0, atol=1e-12 * energy)

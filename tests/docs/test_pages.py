@@ -1,0 +1,153 @@
+"""Hand-written pages: their scenes and commands work, and the site is built without a warning."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from granflow.cli.examples import scene_paths
+from granflow.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ROOT / "docs" / "pages"
+TUTORIALS = sorted(path.stem for path in (PAGES / "tutorials").glob("*.md") if path.stem != "index")
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+NAMED = re.compile(r"# ([\w.]+)(, continued)?\n")
+"""First line of a block that is a file of the reader, or the continuation of one."""
+
+
+def blocks(page):
+    """Language and text of the code blocks of a page."""
+    return BLOCK.findall((PAGES / page).read_text(encoding="utf-8"))
+
+
+def save(text, folder):
+    """Write a block that names its file; other blocks are fragments."""
+    named = NAMED.match(text)
+    if named:
+        with (folder / named[1]).open("a" if named[2] else "w") as file:
+            file.write(text[named.end() :])
+    return bool(named)
+
+
+def is_full_run_of_a_shipped_scene(command):
+    """tests/scenes runs the shipped scenes."""
+    return re.fullmatch(r"granflow run (\w+)\.yaml", command) and command.split()[-1][:-5] in scene_paths()
+
+
+def run(command, folder):
+    program, *rest = shlex.split(command)
+    program = [sys.executable, "-m", "granflow"] if program == "granflow" else [sys.executable]
+    return subprocess.run([*program, *rest], cwd=folder, capture_output=True, text=True, timeout=1200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tutorial", TUTORIALS)
+def test_tutorial_works_as_written(tutorial, tmp_path):
+    executed = 0
+    for language, text in blocks(f"tutorials/{tutorial}.md"):
+        is_file = save(text, tmp_path)
+        commands = text.splitlines() if language == "sh" else []
+        if language == "python" and not is_file:
+            (tmp_path / "snippet.py").write_text(text)
+            commands = ["python snippet.py"]
+        for command in commands:
+            if not is_full_run_of_a_shipped_scene(command):
+                done = run(command, tmp_path)
+                assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+                executed += 1
+    assert executed >= 2
+
+
+def test_tutorials_use_existing_commands():
+    """Fast part of the tutorials: every command of a page is known to the command line."""
+    for page in PAGES.rglob("*.md"):
+        for language, text in blocks(page.relative_to(PAGES)):
+            for command in text.splitlines() if language in ("sh", "text") else []:
+                if command.startswith("granflow "):
+                    assert main_accepts(command), f"{page}: {command}"
+
+
+def main_accepts(command):
+    """Whether the arguments of a command are valid; it is not executed."""
+    from granflow.cli.main import build_parser
+
+    try:
+        build_parser().parse_args(shlex.split(command, comments=True)[1:])
+    except SystemExit as stop:
+        return stop.code == 0
+    return True
+
+
+def guide_scenes(page="*"):
+    """Names and texts of the complete scenes of the guides."""
+    for path in sorted((PAGES / "guides").glob(f"{page}.md")):
+        for language, text in blocks(path.relative_to(PAGES)):
+            if language == "yaml" and NAMED.match(text):
+                yield NAMED.match(text)[1], text
+
+
+@pytest.mark.parametrize(("name", "text"), [pytest.param(*each, id=each[0]) for each in guide_scenes()])
+def test_scene_of_a_guide_has_no_problems(name, text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert main(["check", name]) == 0
+    output = capsys.readouterr()
+    assert output.out == f"{name}: no problems found.\n" and not output.err
+
+
+def test_every_compared_code_has_a_converted_scene():
+    assert [name.split("_")[0] for name, _ in guide_scenes("other_codes")] == [
+        "liggghts",
+        "lammps",
+        "yade",
+        "mercury",
+        "edem",
+    ]
+
+
+def test_guides_and_tutorials_are_in_the_navigation():
+    configuration = (ROOT / "docs" / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in PAGES.rglob("*.md"):
+        assert page.relative_to(PAGES).as_posix() in configuration
+
+
+def build(folder):
+    """Build a copy of the documentation into `folder`/out/site."""
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "-f",
+        str(folder / "docs" / "mkdocs.yml"),
+    ]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1200)
+
+
+@pytest.fixture
+def copied_docs(tmp_path):
+    pytest.importorskip("mkdocs")
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    (tmp_path / "tools").symlink_to(ROOT / "tools")
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_site_is_built_and_a_dead_link_fails(copied_docs):
+    done = build(copied_docs)
+    assert done.returncode == 0, done.stderr
+    site = copied_docs / "out" / "site"
+    assert 'id="cone-radius-from"' in (site / "reference" / "scene.html").read_text(encoding="utf-8")
+    assert "<math" in (site / "contact_models" / "zhou.html").read_text(encoding="utf-8")
+    assert not re.search(r'(?:src|href)="https?://(?!squidfunk|doi)', (site / "index.html").read_text(encoding="utf-8"))
+    with (copied_docs / "docs" / "pages" / "tutorials" / "hopper.md").open("a") as page:
+        page.write("\n[dead](../guides/missing.md) and [dead](../guides/resume.md#missing)\n")
+    done = build(copied_docs)
+    assert done.returncode != 0 and "missing.md" in done.stderr and "#missing" in done.stderr

@@ -1,0 +1,136 @@
+"""Generated reference pages of the documentation: every key, command, quantity, public name and contact model."""
+
+import importlib
+import re
+from pathlib import Path
+
+import jsonschema
+import pytest
+from ruamel.yaml import YAML
+
+import granflow
+from granflow import fields
+from granflow.cli.main import build_parser
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def docsite(name):
+    return importlib.import_module(f"docsite.{name}")
+
+
+@pytest.fixture(autouse=True)
+def tools_on_path(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+
+
+@pytest.fixture
+def keys():
+    return list(docsite("scene_schema").all_keys())
+
+
+def test_every_scene_key_has_a_description_and_a_type_and_is_in_the_reference(keys):
+    page, anchor = docsite("scene_reference").page(), docsite("scene_reference").key_anchor
+    assert len(keys) > 200
+    for key in keys:
+        assert key.description and docsite("value_types").type_text(key.schema), key
+        assert f'<span id="{anchor(key)}"></span>`{key.name}`' in page
+
+
+def test_undocumented_key_is_an_error():
+    reference, schema = docsite("scene_reference"), docsite("scene_schema")
+    key = schema.Key("cone", "radius_from", {"type": "number"}, True)
+    with pytest.raises(reference.UndocumentedError, match="radius_from has no description"):
+        reference.row(schema.Key("Cone", key.name, key.schema, True))
+
+
+def test_links_of_the_scene_reference_have_targets():
+    page = docsite("scene_reference").page()
+    targets = set(re.findall(r"\{ #([\w-]+) \}", page))
+    assert set(re.findall(r"\]\(#([\w-]+)\)", page)) <= targets
+
+
+def test_examples_of_keys_are_valid(keys):
+    definitions = {"$defs": docsite("scene_schema").parts()["scene"]["$defs"]}
+    for key in keys:
+        example = docsite("scene_examples").example_of(key)
+        value = YAML(typ="safe").load(example)[key.name]
+        jsonschema.Draft202012Validator(definitions | key.schema).validate(value)
+
+
+def test_units_of_types_agree_with_descriptions(keys):
+    """A unit in brackets in a description is the SI unit of the type."""
+    found = 0
+    for key in keys:
+        described = re.search(r"\[((?:m|s|k|k?g|J|N|Pa|rad)[^\]]*)\]", key.description)
+        typed = set(re.findall(r"number \[(.*?)\]", docsite("value_types").type_text(key.schema)))
+        if described and typed:
+            found += 1
+            assert described[1] in typed, key
+    assert found > 60
+
+
+def test_every_quantity_is_in_the_reference():
+    pages = docsite("quantity_pages")
+    for name in fields.TOTAL_QUANTITIES:
+        assert f"`{name}" in pages.time_series()
+    for name in (*fields.FLOW_METER_QUANTITIES, *fields.OUTLET_QUANTITIES, *fields.WALL_FORCE_QUANTITIES):
+        assert f"`{name}." in pages.time_series()
+    displayed = [name for name, field in fields.PARTICLE_QUANTITIES.items() if field.displayed]
+    for name in (*displayed, *fields.FIELD_QUANTITIES, "overlap", "traction"):
+        assert f"| `{name}` |" in pages.vtu_arrays()
+    for name in fields.RUN_QUANTITIES:
+        assert f"`{name}" in pages.result()
+
+
+def test_every_command_and_its_options_are_in_the_reference():
+    page = docsite("command_page").page()
+    for action in build_parser()._actions:
+        for name, parser in (action.choices or {}).items():
+            assert f"## granflow {name} {{ #{name} }}" in page
+            options = [option for each in parser._actions for option in each.option_strings]
+            assert all(option in page for option in options)
+
+
+def test_every_public_name_is_in_the_reference():
+    page = docsite("api_page").page()
+    assert all(f"\n## {name}\n" in page for name in granflow.__all__)
+
+
+def test_every_contact_model_has_a_page_with_its_facts():
+    models = docsite("model_pages")
+    for name in models.names():
+        text = (ROOT / "docs" / "pages" / "contact_models" / f"{name}.md").read_text(encoding="utf-8")
+        assert text.count(f"<!-- contact model {name} -->") == 1
+        slot, model = models.find(name)
+        facts = models.facts(name)
+        assert model.law.source in facts and model.law.limits in facts
+        assert all(f"contact.{slot}.{key}" in facts for key in model.options)
+        assert all(f"pairs.NAME.{option.key}" in facts for option in model.pair_options)
+
+
+@pytest.mark.parametrize("name", ["zhou", "hertz", "linear", "walton_braun", "luding", "thornton", "kuwabara_kono"])
+def test_pictured_restitution_agrees_with_the_closed_form(name):
+    """The integration with 400 steps is of second order: its error is far below the width of a line."""
+    pictures, laws = docsite("model_pictures"), docsite("example_laws")
+    law, pair = laws.normal_law(name), laws.example_pair(name)
+    radius, mass = laws.two_spheres()
+    for velocity in (0.01, 1.0):
+        restitution, duration = pictures.collide(law, pair, velocity)
+        assert restitution == pytest.approx(law.restitution(pair, radius, mass, velocity), abs=5e-3)
+        if name not in ("hertz", "linear"):  # their closed forms are without damping
+            assert duration == pytest.approx(sum(law.phase_durations(pair, radius, mass, velocity)), rel=0.01)
+
+
+def test_preset_page_contains_the_sources():
+    assert docsite("quantity_pages").presets().count("Source: ") == len(docsite("example_laws").PRESETS)
+
+
+def test_gallery_contains_every_scene_and_every_comparison():
+    gallery = docsite("gallery")
+    page = gallery.page()
+    rows = YAML(typ="safe").load(gallery.COMPARISONS)
+    assert all(f"`{name}`" in page or f"granflow example {name}\n" in page for name in gallery.names())
+    assert sum(page.count(" ".join(row["granflow"].split())) >= 1 for row in rows) == len(rows)
+    pictures = set(re.findall(r"\(gallery/([\w.]+)\)", page))
+    assert pictures == {path.name for path in gallery.PICTURES.iterdir()}

@@ -1,0 +1,100 @@
+"""Scenes that differ in numbers only share their kernels: on disk between processes, in memory within one process."""
+
+import os
+from hashlib import sha256
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
+
+from granflow.engine import kept_states
+from granflow.engine.kernel_cache import KERNELS
+from granflow.engine.state import FreedState
+from granflow.errors import GranflowError
+from granflow.simulation import Simulation
+
+BASE = {
+    "count": 60, "diameter": 0.004, "floor": 0.0, "friction": 0.4, "young_modulus": 1e8, "gravity": -9.81, "high": 0.05,
+    "skin": "auto", "max_overlap": 0.3, "outlet": 0.0, "rate": 20.0, "mass": 0.1, "threads": 1,
+    "free": True,
+}  # fmt: skip
+
+CHANGES = {
+    "count": 90, "diameter": 0.0036, "floor": -0.001, "friction": 0.3, "young_modulus": 2e8, "gravity": -5.0,
+    "high": 0.06, "skin": 4e-4, "max_overlap": 0.2, "outlet": -0.002, "rate": 30.0, "mass": 0.2, "threads": 2,
+}  # fmt: skip
+
+
+def scene_of(case):
+    """Particles between a vibrating floor and a falling lid in a box that is periodic along x, with an outlet."""
+    sites = np.argwhere(np.ones((5, 5, 4)))[: case["count"]]
+    velocity = np.random.default_rng(1).normal(0.0, 0.3, sites.shape)
+    group = particle_group(0.0041 * (sites + [0.6, 0.6, 0.7]), case["diameter"], velocity=velocity)
+    vibration = {"kind": "vibration", "direction": [0.0, 0.0, 1.0], "amplitude": 1e-4, "frequency": case["rate"]}
+    floor = plane([0.0, 0.0, case["floor"]], [0.0, 0.0, 1.0], motion=vibration)
+    falling = {"kind": "free", "direction": [0.0, 0.0, 1.0], "mass": case["mass"]}
+    lid = plane([0.0, 0.0, 0.02], [0.0, 0.0, -1.0], motion=falling)
+    outlet = {"half_space": {"point": [0.0, 0.0, case["outlet"] - 0.01], "normal": [0.0, 0.0, -1.0]}}
+    return build_scene(
+        {"beads": group}, {"floor": floor, "lid": lid}, pair={"friction": case["friction"]}, outlets={"below": outlet},
+        gravity=[0.0, 0.0, case["gravity"]], materials={"glass": {
+            "young_modulus": case["young_modulus"], "poisson_ratio": 0.25, "density": 2500.0,
+        }},
+        domain={"min": [0.0, -0.05, -0.05], "max": [case["high"]] * 3, "on_exit": "delete", "periodic": ["x"]},
+        numerics={"skin": case["skin"], "max_overlap": case["max_overlap"], "chunk_size": 32},
+        run={"duration": 0.004, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+
+
+def digest_of(case):
+    """Digest of all totals, particles and contacts at the end of a run."""
+    simulation = Simulation(scene_of(case), threads=case["threads"])
+    simulation.run()
+    snapshot = simulation.snapshot(contacts=True)
+    if case["free"]:
+        simulation.free()
+    arrays = [*snapshot.particles.values(), *snapshot.contacts.values()]
+    totals = repr(sorted(snapshot.totals.items())).encode()
+    return sha256(totals + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+
+
+def digests_with_cache(folder, cases):
+    """Digests of cases that run one after the other in this process, and the number of states that remain."""
+    os.environ["GRANFLOW_CACHE"] = folder
+    return [digest_of(case) for case in cases], len(kept_states._kept)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """Kernel cache after a run of the base scene."""
+    folder = tmp_path_factory.mktemp("kernels")
+    in_subprocess(digests_with_cache, str(folder), [BASE])
+    assert any(folder.glob(KERNELS))
+    return folder
+
+
+@pytest.mark.parametrize("changed", [[name] for name in ("count", "threads")] + [list(CHANGES)])
+def test_changed_numbers_compile_no_kernel(cache, changed):
+    before = set(cache.glob(KERNELS))
+    in_subprocess(digests_with_cache, str(cache), [BASE | {name: CHANGES[name] for name in changed}])
+    assert set(cache.glob(KERNELS)) == before
+
+
+def test_runs_in_one_process_share_arrays_and_are_bit_identical(cache):
+    """Also if a simulation is not freed, but deleted."""
+    other = BASE | CHANGES | {"threads": 1, "free": False}
+    (alone,), _ = in_subprocess(digests_with_cache, str(cache), [other])
+    (before, after, again), state_count = in_subprocess(digests_with_cache, str(cache), [BASE, other, BASE])
+    assert after == alone
+    assert before == again != after
+    assert state_count == 1
+
+
+def test_freed_simulations_refuse_their_arrays():
+    host = SimpleNamespace(plan=None, backend=None, capacities=None, clock=None, count=3, wall_motions=())
+    freed = FreedState(host)
+    assert freed.count == 3
+    with pytest.raises(GranflowError, match="has been freed"):
+        freed.particles.position.to_numpy()

@@ -1,0 +1,91 @@
+"""Runs on Vulkan agree with the CPU to rounding, and repeat bit for bit.
+
+Vulkan drivers reassociate sums and products, see `test_canaries`, so that forces are rounded differently. The deviation
+from the CPU is limited by that of a run on the CPU with a modulus that is larger by a few roundings.
+"""
+
+import numpy as np
+import pytest
+import scene_builders
+from gpu.scenes import QUICK, SCENES, shaken_box
+from scene_builders import run_to_end
+from subprocess_runner import in_subprocess
+
+pytestmark = pytest.mark.gpu
+
+ARRAYS = ("position", "velocity", "angular_velocity")
+MARGIN = 10.0
+"""Largest deviation in those of the run with the larger modulus."""
+ROUNDINGS = 8.0
+"""Relative increase of the modulus, in units of the precision."""
+EPSILON = {"f32": 2.0**-23, "f64": 2.0**-52}
+
+
+def state_after(scene, arch, precision):
+    """Final particles by id, counts of the run; the ids are checked."""
+    last, simulation = run_to_end(scene, arch=arch, precision=precision, threads=1)
+    ids, inserted = last.particles["id"].tolist(), simulation.engine.accounting.inserted_count
+    assert len(set(ids)) == len(ids) == int(last.totals["particle_count"])
+    assert set(ids) <= set(range(inserted)), "each id is that of an inserted particle"
+    assert len(ids) == inserted - last.totals["deleted_count"]
+    timing = simulation.engine.timing
+    counts = {"steps": timing.step_count, "rebuilds": timing.rebuild_count, "growths": timing.growth_count}
+    offsets = [np.asarray(wall.offset).tolist() for wall in last.walls.values()]
+    arrays = {name: last.particles[name].astype(float).tolist() for name in ARRAYS} | {"offset": offsets}
+    return counts | {"ids": ids, "contacts": last.totals["contact_count"], "arrays": arrays}
+
+
+def states(names, folder, arch, precision, larger_modulus=0.0):
+    """The final state of each scene."""
+    scene_builders.SOFT["young_modulus"] *= 1.0 + larger_modulus
+    return {name: state_after(SCENES[name](folder), arch, precision) for name in names}
+
+
+def worst_deviation(cpu, disturbed, gpu, precision):
+    """Largest deviation of any array from the CPU, relative to the allowed one."""
+    found = []
+    for name, values in cpu["arrays"].items():
+        arrays = (values, disturbed["arrays"][name], gpu["arrays"][name])
+        one, other, here = (np.array(array, dtype=float) for array in arrays)
+        if one.size:
+            allowed = MARGIN * (np.abs(other - one).max() + EPSILON[precision] * np.abs(one).max())
+            found.append(float(np.abs(here - one).max() / allowed) if allowed else float(np.abs(here).max()))
+    return max(found)
+
+
+def assert_agreement(names, folder, precision):
+    arguments = (list(names), str(folder))
+    cpu = in_subprocess(states, *arguments, "cpu", precision, seconds=900)
+    disturbed = in_subprocess(states, *arguments, "cpu", precision, ROUNDINGS * EPSILON[precision], seconds=900)
+    gpu = in_subprocess(states, *arguments, "vulkan", precision, seconds=900)
+    for name in names:
+        assert cpu[name]["contacts"] or cpu[name]["rebuilds"] > 2
+        assert all(gpu[name][key] == cpu[name][key] for key in ("ids", "steps")), name
+    found = {name: worst_deviation(cpu[name], disturbed[name], gpu[name], precision) for name in names}
+    assert max(found.values()) <= 1.0, found
+
+
+@pytest.mark.timeout(900)
+def test_scenes_agree_with_the_cpu_in_f64(vulkan, tmp_path):
+    assert_agreement(QUICK, tmp_path, "f64")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("name", SCENES)
+def test_each_scene_agrees_with_the_cpu(vulkan, tmp_path, name, precision):
+    assert_agreement([name], tmp_path, precision)
+
+
+def long_run(arch, precision):
+    """20 000 steps of the shaken box."""
+    return state_after(shaken_box(0.08), arch, precision)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_20000_steps_repeat_bit_for_bit(vulkan):
+    one, two = (in_subprocess(long_run, "vulkan", "f64", seconds=1400) for _ in range(2))
+    assert one["steps"] == 20_000 and one["rebuilds"] > 100
+    assert one == two

@@ -1,0 +1,97 @@
+"""Frames are written in order by a thread; its errors reach the run, and no frame is lost before a checkpoint."""
+
+import errno
+import threading
+
+import numpy as np
+import pytest
+
+from granflow.io import background_writer
+from granflow.io.background_writer import BackgroundWriter
+from granflow.io.frames import FrameSeries
+from granflow.io.vtu_mesh import VtuMesh
+
+POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
+
+
+def test_tasks_run_in_order_in_another_thread():
+    writer, seen = BackgroundWriter(), []
+    with writer.running():
+        for number in range(50):
+            writer.submit(lambda number=number: seen.append((number, threading.current_thread())))
+    assert [number for number, _ in seen] == list(range(50))
+    assert {thread for _, thread in seen}.isdisjoint({threading.main_thread()})
+
+
+def test_task_outside_of_running_is_executed_at_once():
+    writer, seen = BackgroundWriter(), []
+    writer.submit(lambda: seen.append(threading.current_thread()))
+    assert seen == [threading.main_thread()]
+
+
+def test_full_queue_delays_the_submitting_thread(monkeypatch):
+    monkeypatch.setattr(background_writer, "LONGEST_QUEUE", 2)
+    writer, gate, submitted = BackgroundWriter(), threading.Event(), []
+
+    def submit_five():
+        for number in range(5):
+            writer.submit(gate.wait)
+            submitted.append(number)
+
+    with writer.running():
+        submitting = threading.Thread(target=submit_five)
+        submitting.start()
+        submitting.join(timeout=0.2)
+        assert submitting.is_alive() and len(submitted) == 2
+        gate.set()
+        submitting.join()
+    assert len(submitted) == 5
+
+
+def test_error_is_raised_once_and_later_tasks_are_tried_again():
+    """The failed task stays first, so that the order of files is kept."""
+    writer, seen, disk = BackgroundWriter(), [], {"full": True}
+
+    def write(name):
+        if disk["full"]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        seen.append(name)
+
+    with writer.running():
+        writer.submit(lambda: write("first"))
+        with pytest.raises(OSError, match="No space left"):
+            writer.wait()
+        with pytest.raises(OSError, match="No space left"):
+            writer.wait()
+        disk["full"] = False
+        writer.submit(lambda: write("second"))
+        writer.wait()
+    assert seen == ["first", "second"]
+
+
+def test_end_of_running_raises_the_error_of_the_last_task():
+    def fail():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    writer = BackgroundWriter()
+    with pytest.raises(OSError, match="No space left"), writer.running():
+        writer.submit(fail)
+
+
+def test_sync_waits_for_all_frames(tmp_path, monkeypatch):
+    """A checkpoint contains the list of frames after `sync`: all of them are on the disk then."""
+    written, gate = [], threading.Event()
+
+    def write_slowly(path, mesh):
+        gate.wait(0.05)
+        path.touch()
+        written.append(path.name)
+
+    monkeypatch.setattr("granflow.io.frames.write_vtu", write_slowly)
+    writer = BackgroundWriter()
+    series = FrameSeries(tmp_path, "particles", writer)
+    with writer.running():
+        for time in range(5):
+            series.write(POINT, time)
+        series.sync()
+        assert written == [name for _, name in series.frames] == [f"particles_{k:04d}.vtu" for k in range(5)]

@@ -1,0 +1,240 @@
+"""Forecasts: overlaps of impacts and static pressures, walls and regions at wrong places, servos that reach nothing."""
+
+from math import log, pi, sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan.scenes import TEXT, scene_of
+from scene_builders import build_scene, particle_group, plane
+
+from granflow import load_scene
+from granflow.particles.generate import initial_particles
+from granflow.plan.build import plan_for
+from granflow.plan.forecast.advice import required_moduli
+from granflow.plan.forecast.contact import impact_overlap
+from granflow.plan.forecast.pairs import touching_pairs
+from granflow.plan.forecast.regions import particle_warnings
+
+SCENES = sorted((Path(__file__).parents[2] / "scenes").rglob("*.yaml"))
+RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
+FLOOR = plane([0, 0, 0], [0, 0, 1], "rubber")
+
+
+def warnings_of(scene):
+    return [each.warning for each in plan_for(scene).forecasts if each.warning]
+
+
+def forecast(scene, name):
+    return next(each for each in plan_for(scene).forecasts if each.name == name)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_shipped_scenes_cause_no_warning(path):
+    assert warnings_of(load_scene(path)) == []
+
+
+def rubber_ball(velocity=2.5, **parts):
+    ball = particle_group([[0.0, 0.0, 0.1]], material="rubber")
+    usual = {"run": {"duration": 0.1, "velocity_max": velocity}, "normal": "hertz", "materials": RUBBER}
+    return build_scene({"ball": ball}, walls={"floor": FLOOR}, **usual | {"pair": {"restitution": 1.0}} | parts)
+
+
+def test_overlap_of_an_impact_follows_from_its_energy():
+    """Elastic sphere at a wall of its material, E* = E / (2 (1 - nu^2)):
+
+        d/R = (5 m v^2 / (4 k))^0.4 / R,   k = 4/3 E* sqrt(R),   m = 4/3 pi R^3 rho
+            = (5 pi rho v^2 / (4 E*))^0.4 = 0.147 at 2.5 m/s
+
+    The overlap is proportional to E^-0.4: 5 MPa (d / 0.1 R)^2.5 is the modulus that is just enough.
+    """
+    modulus_eff = 5e6 / (2.0 * (1.0 - 0.48**2))
+    overlap = (1.25 * pi * 1100.0 * 2.5**2 / modulus_eff) ** 0.4
+    found = forecast(rubber_ball(), "overlap of impacts")
+    assert found.overlap == pytest.approx(overlap, rel=1e-3) and overlap == pytest.approx(0.147, abs=5e-4)
+    enough = 5e6 * (overlap / 0.1) ** 2.5
+    advised = float(found.warning.split("young_modulus to ")[1].split(" MPa")[0]) * 1e6
+    assert enough < advised < 1.2 * enough
+    stiffer = {"rubber": RUBBER["rubber"] | {"young_modulus": advised}}
+    ball = particle_group([[0.0, 0.0, 0.1]], material="rubber")
+    run = {"duration": 0.1, "velocity_max": 2.5}
+    followed = build_scene(
+        {"ball": ball}, {"floor": FLOOR}, {"restitution": 1.0}, normal="hertz", materials=stiffer, run=run
+    )
+    assert warnings_of(followed) == []
+    assert warnings_of(rubber_ball(numerics={"max_overlap": 0.21})) == []
+
+
+@pytest.mark.parametrize("law", ["hertz", "linear"])
+def test_viscous_forces_lower_the_forecast_overlap(law):
+    """With the same modulus, a contact of restitution 0.3 is compressed less than an elastic one."""
+    normal = {"hertz": "hertz", "linear": {"law": "linear", "stiffness": "onset"}}[law]
+    overlaps = [
+        forecast(rubber_ball(normal=normal, pair={"restitution": e}), "overlap of impacts").overlap for e in (1.0, 0.3)
+    ]
+    assert overlaps[1] < 0.9 * overlaps[0]
+
+
+def test_stiffness_given_as_a_number_is_named_instead_of_a_modulus():
+    """The overlap of an elastic spring is v sqrt(m / K) = 2.5 sqrt(5.76e-4 / 1e3) = 1.9 mm, 0.38 of the radius."""
+    normal = {"law": "linear", "stiffness": {"value": 1e3}}
+    (warning,) = warnings_of(rubber_ball(normal=normal))
+    assert "overlaps by 0.379 of the radius" in warning and "Raise the stiffness of contact.normal" in warning
+
+
+def test_units_are_suspected_if_no_modulus_is_high_enough():
+    """A density of 1e30 kg/m3 requires 1e26 times the modulus."""
+    (warning,) = warnings_of(rubber_ball(materials={"rubber": RUBBER["rubber"] | {"density": 1e30}}))
+    assert "Check the units of densities" in warning
+
+
+def test_only_the_softer_material_of_a_pair_changes():
+    """A factor of 2 with a margin of 10 %, rounded up to two digits: 5 MPa 2.2 = 12 MPa.
+
+    1/E* = c1/E1 + c2/E2 with c = 1 - nu^2: 100 times the modulus requires that the wall becomes stiffer too.
+    """
+    solids = plan_for(rubber_ball()).solids | {"steel": plan_for(load_scene(SCENES[0])).solids["glass"]}
+    assert required_moduli(solids, ("rubber", "rubber"), 2.0) == {"rubber": 1.2e7}
+    moduli = required_moduli(solids, ("rubber", "steel"), 100.0)
+    assert set(moduli) == {"rubber", "steel"} and moduli["rubber"] == moduli["steel"]
+
+
+def bed(modulus, **more):
+    """300 particles of 4 mm above a floor of 24 mm x 24 mm in a domain of 26 mm x 26 mm."""
+    glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
+    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.024, 0.024, 0.095]}}
+    group = {"material": "glass", "count": 300, "diameter": 0.004, "insert": {"kind": "pack", "region": region}}
+    domain = {"min": [-0.001] * 3, "max": [0.025, 0.025, 0.11], "on_exit": "delete"}
+    parts = {
+        "gravity": [0.0, 0.0, -9.81],
+        "normal": "hertz",
+        "run": {"duration": 0.1, "velocity_max": 0.1},
+        "domain": domain,
+    }
+    walls = {"floor": plane([0, 0, 0], [0, 0, 1])} | more.pop("walls", {})
+    return build_scene({"beads": group}, walls=walls, materials=glass, **parts | more)
+
+
+def test_static_overlap_of_the_weight():
+    """p = M g / A; the largest of N = 3 A / d^2 forces is ln(2 N) / 1.5 times the mean pi d^2 p / (0.6 6).
+
+    Between two particles F = 4/3 E* sqrt(R/2) delta^1.5 with E* = E / (2 (1 - nu^2)).
+    """
+    found = forecast(bed(1e5), "overlap under the weight")
+    pressure = 300 * pi / 6 * 0.004**3 * 2500.0 * 9.81 / 0.024**2
+    force = log(2 * 3 * 0.024**2 / 0.004**2) / 1.5 * pi * 0.004**2 * pressure / 3.6
+    k = 4 / 3 * 1e5 / (2 * (1 - 0.25**2)) * sqrt(0.001)
+    assert found.overlap == pytest.approx((force / k) ** (2 / 3) / 0.002, rel=1e-6)
+    assert found.warning is None or found.overlap > 0.1
+
+
+def lid(height=0.1, pressure=1e4, **more):
+    motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": pressure, "velocity_max": 0.5} | more
+    sides = [[0.024, 0, 0], [0, 0.024, 0]]
+    return {
+        "lid": {"shape": "rectangle", "corner": [0, 0, height], "sides": sides, "material": "glass", "motion": motion}
+    }
+
+
+def test_pressing_wall_is_named_with_its_pressure():
+    run = {"duration": 0.2, "velocity_max": 0.1}
+    (warning,) = [each for each in warnings_of(bed(1e6, walls=lid(pressure=2e5), run=run)) if "static" not in each]
+    assert "walls.lid" in warning and "200 kPa" in warning and "materials.glass.young_modulus" in warning
+    assert warnings_of(bed(1e9, walls=lid(pressure=2e5), run=run)) == []
+
+
+def test_overlap_by_cohesion_alone():
+    """SJKR balances Hertz where 2 pi w R* d = 4/3 E* sqrt(R*) d^1.5: d = R* (3 pi w / (2 E*))^2, R* = R or R/2.
+
+    At a wall the overlap over the radius is 2 times that between particles: (3 pi w / (2 E*))^2 = 0.195 for w = 5e4.
+    """
+    contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": "sjkr"}
+    pair = {"restitution": 0.5, "cohesion_energy_density": 5e4}
+    scene = bed(1e6, pair=pair, contact=contact)
+    expected = (1.5 * pi * 5e4 / (1e6 / (2 * (1 - 0.25**2)))) ** 2
+    found = forecast(scene, "overlap by cohesion")
+    assert found.overlap == pytest.approx(expected, rel=1e-6)
+    (warning,) = [each for each in warnings_of(scene) if "an impact" not in each]
+    assert "cohesion alone" in warning and "Lower cohesion_energy_density" in warning
+
+
+def test_servo_that_moves_too_slowly_is_reported_with_a_sufficient_velocity():
+    """300 spheres of 4 mm fill at most 300 pi d^3 / 6 / (0.45 A) = 38.8 mm; the lid at 100 mm moves 10 mm in 0.1 s."""
+    (warning,) = warnings_of(bed(1e9, walls=lid(velocity_max=0.1)))
+    distance = 0.1 - 300 * pi / 6 * 0.004**3 / (0.45 * 0.024**2)
+    assert f"the bed is at least {distance:.3g} m away" in warning
+    advised = float(warning.split("Set velocity_max to ")[1].split(" m/s")[0])
+    assert warnings_of(bed(1e9, walls=lid(velocity_max=advised))) == []
+
+
+def test_wall_far_outside_the_domain_is_reported(tmp_path):
+    """22 in place of 22 mm: the surface of the cylinder is 22 m from its axis."""
+    tube = "{shape: cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22, material: glass}"
+    (warning,) = warnings_of(scene_of(tmp_path, f"walls.tube={tube}"))
+    assert float(warning.split("is at least ")[1].split(" m outside")[0]) == pytest.approx(22.0, rel=0.01)
+    assert warnings_of(scene_of(tmp_path, f"walls.tube={tube.replace('radius: 22', 'radius: 22 mm')}")) == []
+
+
+def test_particles_larger_than_the_domain_are_reported(tmp_path):
+    point = "{kind: positions, positions: [[1 cm, 1 cm, 1 cm]]}"
+    ball = f"{{material: glass, count: 1, diameter: 4, insert: {point}}}"
+    assert any("particles.ball" in each and "larger than the domain" in each
+               for each in warnings_of(scene_of(tmp_path, f"particles.ball={ball}")))  # fmt: skip
+
+
+def test_wall_that_moves_away_is_reported_unless_the_scene_ends_its_motion(tmp_path):
+    belt = (
+        "{shape: rectangle, corner: [0, 0, 12 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]], material: glass, "
+        "motion: {kind: translation, velocity: [1 m/s, 0, 0]%s}}"
+    )
+    (warning,) = warnings_of(scene_of(tmp_path, f"walls.belt={belt % ''}"))
+    # The belt leaves the domain, up to x = 3 cm, after 30 ms.
+    assert "walls.belt" in warning and 0.03 < float(warning.split("after ")[1].split(" s")[0]) < 0.042
+    assert warnings_of(scene_of(tmp_path, f"walls.belt={belt % ', end: 50 ms'}")) == []
+    assert warnings_of(scene_of(tmp_path, f"walls.belt={belt % ''}", "run.duration=10 ms")) == []
+
+
+def test_region_that_a_wall_cuts_is_reported_with_the_share_of_positions(tmp_path):
+    """Centers of spheres of 4 mm are between z = 2 and 8 mm; with a plate at z = 5 mm, those between 3.2 and 6.8 mm
+    overlap it by more than 0.1 R: 60 % of the positions.
+    """
+    plate = "{shape: rectangle, corner: [0, 0, 5 mm], sides: [[2 cm, 0, 0], [0, 2 cm, 0]], material: glass}"
+    (warning,) = warnings_of(scene_of(tmp_path, f"walls.plate={plate}"))
+    assert "walls.plate cuts the region: 0.6" in warning or "walls.plate cuts the region: 0.59" in warning
+    assert warnings_of(scene_of(tmp_path, f"walls.plate={plate.replace('5 mm', '10 mm')}")) == []
+
+
+def test_initial_particles_inside_walls_are_reported():
+    inside = particle_group([[0.0, 0.0, 0.05], [0.0, 0.0, 0.003], [0.0, 0.0, 0.0049]])
+    scene = build_scene({"balls": inside}, walls={"floor": plane([0, 0, 0], [0, 0, 1])})
+    plan = plan_for(scene)
+    (warning,) = particle_warnings(scene, plan.walls, initial_particles(scene))
+    assert (
+        "1 of 3 particles are inside walls.floor at the start, by up to 0.4 of the radius, at [0, 0, 0.003] m"
+        in warning
+    )
+
+
+@pytest.mark.parametrize(("distance", "expected"), [(0.00399, 0), (0.0035, 1)])
+def test_file_of_a_settled_bed_causes_no_warning(tmp_path, distance, expected):
+    """Two particles of radius 2 mm that overlap by 0.5 % of the radius touch; 25 % is more than the weight explains."""
+    rows = f"x,y,z,r\n0.005,0.005,0.002,0.002\n0.005,{0.005 + distance},0.002,0.002\n"
+    (tmp_path / "start.csv").write_text(rows)
+    text = TEXT.replace("    count: 10\n    diameter: 4 mm\n", "").replace(
+        "young_modulus: 10 MPa", "young_modulus: 10 kPa"
+    )
+    start, end = text.index("    insert: {kind: lattice"), text.index("domain:")
+    text = f"{text[:start]}    insert: {{kind: file, file: start.csv}}\n{text[end:]}"
+    found = [
+        each for each in warnings_of(scene_of(tmp_path, "run.velocity_max=0.01", text=text)) if "start.csv" in each
+    ]
+    assert len(found) == expected
+    assert all("overlap by up to 0.25 of the smaller radius (lines 2 and 3)" in each for each in found)
+
+
+def test_largest_overlap_is_that_of_small_particles_with_large_ones():
+    small, large = particle_group([[0, 0, 0.1]], 0.002), particle_group([[0, 0, 0.2]], 0.02)
+    scene = build_scene({"small": small, "large": large}, run={"duration": 0.1, "velocity_max": 1.0})
+    plan = plan_for(scene)
+    overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(scene)}
+    assert set(overlaps) == {"particles of small and large"} and np.isfinite(list(overlaps.values())).all()

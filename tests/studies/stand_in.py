@@ -1,0 +1,55 @@
+"""Replaces `granflow run` and `granflow resume` in tests of the driver: known results after a short time.
+
+The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is aborted. While
+there is a file `wait` in the directory of the sweep, the run lasts until it is stopped, and then has a checkpoint, from
+which it is resumed. Each start is a line of `starts.txt`.
+"""
+
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+
+EXPECTED = 1.0
+
+
+def settings():
+    """Values of the overrides by the last key."""
+    given = [text.partition("=")[2].partition("=") for text in sys.argv if text.startswith("--set=")]
+    return {key.rpartition(".")[2]: json.loads(value) for key, _, value in given}
+
+
+def main():
+    verb = sys.argv[1]
+    directory = Path(sys.argv[2] if verb == "resume" else sys.argv[sys.argv.index("--out") + 1])
+    checkpoint = directory / "checkpoint_1.npz"
+    with (directory.parent.parent / "starts.txt").open("a") as file:
+        file.write(f"{verb} {directory.name}\n")
+    values = json.loads(checkpoint.read_text()) if verb == "resume" else settings()
+    if values["friction"] == 0.4:
+        print(f"granflow: Stopped: overlap above the limit. State in {directory}.", file=sys.stderr)
+        return 3
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
+    while (directory.parent.parent / "wait").exists():
+        if stopped:
+            checkpoint.write_text(json.dumps(values))
+            return 143
+        time.sleep(0.02)
+    energy = values["restitution"] + values["friction"]
+    sentence = f"kinetic_energy is {energy:g}, but should be below {EXPECTED:g}."
+    totals = {
+        "kinetic_energy": energy, "rotational_energy": None,
+        "elastic_energy": values["restitution"] * values["friction"],
+    }  # fmt: skip
+    result = {
+        "run": {"wall_clock": time.perf_counter()}, "totals": totals,
+        "expect": [{"sentence": sentence, "met": energy < EXPECTED}],
+    }  # fmt: skip
+    (directory / "result.json").write_text(json.dumps(result))
+    return 0 if energy < EXPECTED else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

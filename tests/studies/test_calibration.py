@@ -1,0 +1,210 @@
+"""Calibration without runs: messages, targets, and the response of residuals with known parameters."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies.sweep_files import SCENE
+
+from granflow.errors import FileError, GranflowError
+from granflow.studies.calibration.response import fit_response, identification
+from granflow.studies.calibration.run import read_calibration, run_calibration
+from granflow.studies.calibration.schema import Parameter, Target
+from granflow.studies.calibration.search import Search, deviation_in_units, from_unit, settings_of, to_unit
+from granflow.studies.calibration.targets import deviation, partial_loss, read_target, residuals
+from granflow.studies.calibration.trials import TrialRunner
+from granflow.studies.run_processes import process
+from granflow.studies.run_processes.checked import RunSettings
+
+CALIBRATION = """\
+scenes: {pair: {scene: spheres.yaml}}
+parameters:
+  friction: {keys: pairs.steel-steel.friction, from: 0.05, to: 0.8}
+  restitution: {keys: [pairs.steel-steel.restitution], from: 0.3, to: 0.9}
+targets:
+  energy: {scene: pair, quantity: kinetic_energy, value: 1 mJ, tolerance: 10 uJ}
+search: {trials: 12}
+"""
+
+
+def written(folder, text=CALIBRATION):
+    (folder / "spheres.yaml").write_text(SCENE)
+    (folder / "calibration.yaml").write_text(text)
+    return folder / "calibration.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("tolerance", "tolerence", "calibration.yaml:6:64: targets.energy.tolerence is not a known key. Did you mean"),
+        ("scene: pair,", "scene: piar,", "calibration.yaml:6:19: targets.energy.scene is piar, but there is no such"),
+        ("value: 1 mJ, ", "", "calibration.yaml:6:3: targets.energy.value is missing"),
+        ("from: 0.3", "from: 0.95", "restitution.to is 0.9, but it must be larger than from, 0.95."),
+        (
+            "spheres.yaml",
+            "sphere.yaml",
+            "calibration.yaml:1:24: scenes.pair.scene is sphere.yaml, but there is no file",
+        ),
+        ("value: 1 mJ", "curve: a.csv", "calibration.yaml:6:58: curve is a.csv, but "),
+        ("[pairs.steel-steel.restitution]", "pairs.steel-steel.friction", "which parameters.friction sets too"),
+    ],
+)
+def test_problems_are_reported_with_position(tmp_path, old, new, words):
+    with pytest.raises(FileError) as caught:
+        read_calibration(written(tmp_path, CALIBRATION.replace(old, new)))
+    assert words in str(caught.value)
+
+
+def runner(folder, text=CALIBRATION):
+    pytest.importorskip("optuna")
+    study = read_calibration(written(folder, text))
+    common = RunSettings(folder / "runs", 1, "cpu", folder / "stop")
+    search = Search(study.content, folder)
+    return TrialRunner(search, study.scenes, study.targets, study.positions, common, lambda: False)
+
+
+def test_misspelt_key_is_reported_at_its_parameter(tmp_path):
+    found = runner(tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction"))
+    with pytest.raises(FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"):
+        found.check({"friction": 0.1, "restitution": 0.5})
+
+
+def test_journal_of_another_calibration_is_refused(tmp_path):
+    runner(tmp_path)
+    with pytest.raises(GranflowError, match="trials of a calibration with other scenes, parameters or targets"):
+        runner(tmp_path, CALIBRATION.replace("1 mJ", "2 mJ"))
+
+
+def test_trials_of_a_killed_process_are_repeated(tmp_path):
+    """The process of a running trial is gone: its directory is not locked. Its parameters are the next ones."""
+    search = runner(tmp_path).search
+    lost = search.next_trial()
+    lost.set_user_attr("worker", "gone-1")
+    search.release_lost()
+    again = search.next_trial()
+    assert again.params == lost.params and again.number == lost.number + 1
+
+
+def test_search_ends_after_its_number_of_trials(tmp_path):
+    search = runner(tmp_path).search
+    count = 0
+    while (trial := search.next_trial()) is not None:
+        x, y = trial.params["friction"] - 0.3, trial.params["restitution"] - 0.6
+        trial.set_user_attr("residuals", {"energy": [10.0 * x, 10.0 * y]})
+        search.study.tell(trial, 100.0 * (x * x + y * y))
+        count += 1
+    best = min(search.completed(), key=lambda trial: trial.value)
+    assert count == 12
+    # The residuals are linear, so the last trials, at the optimum of the fit, are exact.
+    assert (best.params["friction"], best.params["restitution"]) == pytest.approx((0.3, 0.6), abs=1e-6)
+
+
+def test_parameter_sets_its_keys_in_each_scene(tmp_path):
+    text = CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys_in: {pair: [pairs.steel-steel.friction]}")
+    content = read_calibration(written(tmp_path, text)).content
+    assert settings_of(content, "pair", {"friction": 0.1, "restitution": 0.5}) == {
+        "pairs.steel-steel.friction": 0.1, "pairs.steel-steel.restitution": 0.5
+    }  # fmt: skip
+
+
+def test_scaled_parameters_include_both_bounds():
+    """On a logarithmic scale, the middle of 0.01 and 1 is 0.1, and a share of 0.1 there is 0.1 ln(100) 0.1."""
+    parameter = Parameter.model_validate({"from": 0.01, "to": 1.0, "scale": "log"})
+    assert [from_unit(parameter, share) for share in (0.0, 0.5, 1.0)] == pytest.approx([0.01, 0.1, 1.0])
+    assert to_unit(parameter, 0.1) == pytest.approx(0.5)
+    assert deviation_in_units(parameter, 0.1, 0.1) == pytest.approx(0.1 * np.log(100.0) * 0.1)
+
+
+def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
+    """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of bounds."""
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    text = CALIBRATION.replace("from: 0.3", "from: 0.45").replace(
+        "value: 1 mJ, tolerance: 10 uJ", "value: 0.89, tolerance: 0.01"
+    )
+    text = text.replace(
+        "search:", "  product: {scene: pair, quantity: elastic_energy, value: 0.1674, tolerance: 0.002}\nsearch:"
+    )
+    study, lines = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 30"))), []
+    result = run_calibration(study, tmp_path / "out", jobs=2, report=lines.append)
+    assert result.is_met and len(lines) == 30
+    assert [each.value for each in result.parameters] == pytest.approx([0.27, 0.62], rel=0.05)
+    assert not any(each.not_identified for each in result.parameters) and not result.conflicts
+    best = (tmp_path / "out" / "best.yaml").read_text()
+    assert f"friction: {result.parameters[0].value!r}" in best
+    # The same command repeats nothing.
+    again = run_calibration(study, tmp_path / "out", jobs=2, report=lines.append)
+    assert len(lines) == 30 and again.parameters == result.parameters
+
+
+def test_conflicting_targets_are_reported(tmp_path, monkeypatch):
+    """The sum cannot be 0.6 and 0.9 at the same time."""
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
+    text = text.replace(
+        "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"
+    )
+    study = read_calibration(written(tmp_path, text.replace("trials: 12", "trials: 40")))
+    result = run_calibration(study, tmp_path / "out", jobs=1)
+    assert not result.is_met
+    (sentence,) = result.conflicts
+    assert sentence.startswith("energy and other conflict: of ") and sentence.endswith("but none meets both.")
+
+
+def target(folder, **more):
+    given = {"scene": "a", "quantity": "flow_mass.out", "tolerance": 0.5, "weight": 3.0, **more}
+    return read_target(Target.model_validate(given), folder, "x:1:1")
+
+
+def test_residual_of_a_value_is_the_weighted_deviation_in_tolerances(tmp_path):
+    """(5 - 4) / 0.5 = 2 tolerances; the share of the loss is 3 * 2^2 = 12."""
+    (tmp_path / "result.json").write_text(json.dumps({"flow_meters": {"out": {"flow_mass": 5.0}}}))
+    measured = target(tmp_path, value=4.0)
+    found = residuals(measured, tmp_path)
+    assert float(found @ found) == pytest.approx(12.0)
+    assert deviation(measured, {"a": found.tolist()}, "a") == pytest.approx(2.0)
+
+
+def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
+    """The run has 10 t from the stage at 1 s on; the curve is 10 t + 1: two tolerances everywhere."""
+    rows = [f"{time},{'fill' if time < 1 else 'out'},{10 * max(time - 1, 0)}" for time in np.linspace(0, 3, 13)]
+    (tmp_path / "timeseries.csv").write_text("\n".join(["time [s],stage,flow_mass.out [kg]", *rows]) + "\n")
+    (tmp_path / "flow.csv").write_text("time,value\n0,1\n0.5,6\n1.1,12\n2,21\n")
+    measured = target(tmp_path, curve="flow.csv", stage="out")
+    found = residuals(measured, tmp_path)
+    assert float(found @ found) == pytest.approx(12.0)
+    # After 2.25 s of the run, 1.25 s of the stage, three of four points are known: three quarters of the loss.
+    (tmp_path / "timeseries.csv").write_text("\n".join(["time [s],stage,flow_mass.out [kg]", *rows[:10]]) + "\n")
+    assert partial_loss(measured, tmp_path) == pytest.approx(9.0)
+
+
+def test_response_recovers_the_optimum_and_the_uncertainty_of_linear_residuals():
+    """Residuals 20 (u - 0.3) and 5 (v - 0.6): standard deviations 1/sqrt(400 + 12) and 1/sqrt(25 + 12)."""
+    u = np.random.default_rng(1).uniform(size=(40, 2))
+    found = np.column_stack([20.0 * (u[:, 0] - 0.3), 5.0 * (u[:, 1] - 0.6)])
+    best = int(np.argmin((found**2).sum(axis=1)))
+    response = fit_response(u, found, best)
+    optimum = response.optimum(u[best])
+    assert optimum == pytest.approx([0.3, 0.6], abs=1e-6)
+    known = identification(response, optimum)
+    assert known.deviation == pytest.approx([1 / np.sqrt(412.0), 1 / np.sqrt(37.0)], rel=1e-6)
+
+
+def test_parameter_without_influence_is_not_identified():
+    """One residual with scatter responds to u and v through their sum only, and not to w."""
+    random = np.random.default_rng(2)
+    u = random.uniform(size=(60, 3))
+    found = 30.0 * (u[:, :1] + u[:, 1:2] - 1.0) + random.normal(0.0, 0.5, (60, 1))
+    response = fit_response(u, found, int(np.argmin(np.abs(found[:, 0]))))
+    known = identification(response, np.array([0.5, 0.5, 0.5]))
+    assert not any(known.is_identified(k) for k in range(3))
+    # The sum is known: its direction has a vanishing variance, and each of u and v keeps half of the uniform variance.
+    assert known.deviation == pytest.approx([np.sqrt(1 / 24), np.sqrt(1 / 24), np.sqrt(1 / 12)], rel=0.05)
+    names = ["friction", "rolling_friction", "restitution"]
+    assert known.statement(names, 0).endswith("they determine it only together with rolling_friction.")
+    assert (
+        known.statement(names, 2) == "restitution cannot be identified from the targets: none of them responds to it."
+    )

@@ -1,0 +1,280 @@
+"""Sweeps without runs: messages, points, checks, and the driver with an executor that returns outcomes at once."""
+
+import csv
+import json
+from concurrent.futures import Future
+from threading import Event
+
+import numpy as np
+import pytest
+from studies.sweep_files import SCENE, SWEEP, write_sweep
+
+from granflow.cli.main import main
+from granflow.errors import FileError, GranflowError
+from granflow.studies.run_processes.checked import CheckedRun, RunSettings
+from granflow.studies.run_processes.driver import Driver
+from granflow.studies.run_processes.executors import local_jobs
+from granflow.studies.run_processes.outcome import (
+    ABORTED,
+    CRASHED,
+    DONE,
+    MISSED,
+    REFUSED,
+    Outcome,
+    final_outcome,
+    write_outcome,
+)
+from granflow.studies.run_processes.process import RunRequest
+from granflow.studies.sweep.design import design_points, unit_samples
+from granflow.studies.sweep.run import checked_points, read_sweep
+from granflow.studies.sweep.schema import LatinHypercube, SobolSampling, SweepInput
+from granflow.studies.sweep.table import table_of, write_tables
+
+
+def problems_of(folder, text):
+    with pytest.raises(FileError) as caught:
+        read_sweep(write_sweep(folder, text))
+    return [problem.removeprefix(f"{folder}/") for problem in caught.value.problems]
+
+
+def settings(folder):
+    return RunSettings(folder / "runs", 1, "cpu", folder / ".stop")
+
+
+def test_all_problems_are_reported_with_position_and_suggestion(tmp_path):
+    text = "scene: spheres.yaml\nvray: {}\nrepeat: {seeds: 0}\nread: []\nsampling: {kind: sobl, count: 8}\n"
+    assert problems_of(tmp_path, text) == [
+        "sweep.yaml:2:1: vray is not a known key. Did you mean vary?",
+        "sweep.yaml:3:17: repeat.seeds is 0, but a number of seeds must be in [1, 1000].",
+        "sweep.yaml:4:7: read is [], but at least one item is required, such as [mass_flow.outlet].",
+        "sweep.yaml:5:18: sampling.kind is sobl, but it must be one of grid, latin_hypercube, sobol. Did you mean "
+        "sobol?",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("vary", "words"),
+    [
+        ("{a: {from: 0.2, to: 0.1, count: 2}}", "vary.a.to is 0.1, but it must be larger than from, 0.2."),
+        ("{a: {from: 0.1, to: 0.2}}", "vary.a.count is missing"),
+        ("{a: 5}", "a list of values or a range is expected"),
+        ("{a: [1], b: {values: [2], keys: a}}", "vary.b sets a, which vary.a sets too"),
+        ("{a: {values: [1, 2], with: {b: [1]}}}", "it needs 2 values, one for each value of the parameter."),
+        ("{a: {from: 0, to: 1, count: 2, scale: log}}", "it must be above 0 on a logarithmic scale"),
+        ("{}", "vary is missing: at least one parameter"),
+    ],
+)
+def test_invalid_parameters_are_refused(tmp_path, vary, words):
+    problem = problems_of(tmp_path, f"scene: spheres.yaml\nvary: {vary}\nread: kinetic_energy\n")
+    assert any(words in each and each.startswith("sweep.yaml:2:") for each in problem), problem
+
+
+def test_missing_scene_is_reported_at_its_key(tmp_path):
+    path = write_sweep(tmp_path, SWEEP.replace("spheres.yaml", "spheers.yaml"))
+    with pytest.raises(FileError, match=r"sweep.yaml:1:8: scene is spheers.yaml, but there is no file"):
+        read_sweep(path)
+
+
+def test_misspelt_key_of_the_scene_is_reported_at_its_line_of_the_sweep(tmp_path):
+    sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("steel.friction", "steel.frction")))
+    with pytest.raises(FileError) as caught:
+        checked_points(sweep, settings(tmp_path))
+    assert f"{tmp_path}/sweep.yaml:4:3: pairs.steel-steel.frction is not a known key. Did you mean friction?" in str(
+        caught.value
+    )
+
+
+def test_unknown_quantity_is_refused_with_the_closest_name(tmp_path):
+    sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("rotational_energy]", "kinetik_energy]")))
+    with pytest.raises(FileError, match=r"kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?"):
+        checked_points(sweep, settings(tmp_path))
+
+
+def sweep_of(**parts):
+    return SweepInput.model_validate({"scene": "a.yaml", "read": ["kinetic_energy"], **parts})
+
+
+def test_grid_contains_all_combinations_in_si_units():
+    vary = {"a.b": ["9 mm", "1 cm"], "c": {"from": 1, "to": 100, "count": 3, "scale": "log"}}
+    points = design_points(sweep_of(vary=vary, set={"d": "2 ms"}))
+    assert [tuple(point.values.values()) for point in points] == [
+        (length, number) for length in (0.009, 0.01) for number in (1.0, pytest.approx(10.0), 100.0)
+    ]  # fmt: skip
+    assert points[3].settings == {"d": 0.002, "a.b": 0.01, "c": 1.0}
+
+
+def test_one_parameter_sets_several_keys_and_others_along_with_it():
+    vary = {"hole": {"values": ["9 mm", "12 mm"], "keys": ["walls.plug.radius", "walls.floor.hole_radius"],
+                     "with": {"stages.1.duration": ["2 s", "1 s"]}}}  # fmt: skip
+    found = [point.settings for point in design_points(sweep_of(vary=vary))]
+    assert found == [
+        {"walls.plug.radius": 0.009, "walls.floor.hole_radius": 0.009, "stages.1.duration": 2.0},
+        {"walls.plug.radius": 0.012, "walls.floor.hole_radius": 0.012, "stages.1.duration": 1.0},
+    ]
+
+
+def test_latin_hypercube_has_one_point_in_each_interval():
+    samples = unit_samples(LatinHypercube(kind="latin_hypercube", count=16, seed=3), 3)
+    assert all(sorted((16 * column).astype(int)) == list(range(16)) for column in samples.T)
+
+
+def test_sobol_design_gives_the_indices_of_the_ishigami_function():
+    """Ishigami & Homma (1990): f = sin x + a sin^2 y + b z^4 sin x on (-pi, pi)^3, with a = 7 and b = 0.1.
+
+    V = a^2/8 + b pi^4/5 + b^2 pi^8/18 + 1/2; V1 = (1 + b pi^4/5)^2 / 2; V2 = a^2/8; V13 = b^2 pi^8 (1/18 - 1/50).
+    """
+    sobol = pytest.importorskip("SALib.analyze.sobol")
+    x, y, z = (np.pi * (2.0 * unit_samples(SobolSampling(kind="sobol", count=2048, seed=1), 3) - 1.0)).T
+    problem = {"num_vars": 3, "names": ["x", "y", "z"]}
+    a, b = 7.0, 0.1
+    found = sobol.analyze(problem, np.sin(x) + a * np.sin(y) ** 2 + b * z**4 * np.sin(x), calc_second_order=False)
+    first, second, both = (1 + b * np.pi**4 / 5) ** 2 / 2, a**2 / 8, b**2 * np.pi**8 * (1 / 18 - 1 / 50)
+    variance = first + second + both
+    assert found["S1"] == pytest.approx([first / variance, second / variance, 0.0], abs=0.03)
+    assert found["ST"] == pytest.approx([(first + both) / variance, second / variance, both / variance], abs=0.03)
+
+
+def test_more_runs_than_cores_are_refused():
+    with pytest.raises(GranflowError, match=r"3 runs of 2 threads need 6 cores, but 4 cores are there: give at most"):
+        local_jobs(3, 2, 4)
+    assert local_jobs(None, 2, 5) == 2
+
+
+def test_points_are_checked_and_hashed_by_their_resolved_scene(tmp_path):
+    points = checked_points(read_sweep(write_sweep(tmp_path)), settings(tmp_path))
+    runs = [run for _, each in points for run in each]
+    refused = [run for run in runs if isinstance(run, str)]
+    assert len(runs) == 12 and len(refused) == 4
+    assert refused[0].startswith(f"{tmp_path}/sweep.yaml:3:3: pairs.steel-steel.restitution is 1.2")
+    valid = [run for run in runs if isinstance(run, CheckedRun)]
+    assert len({run.directory for run in valid}) == 8 and len({run.kernels for run in valid}) == 1
+
+
+def test_seeds_follow_that_of_the_scene(tmp_path):
+    path = write_sweep(tmp_path, SWEEP + "repeat: {seeds: 3}\n", "seed: 5\n" + SCENE)
+    (_, runs), *_ = checked_points(read_sweep(path), settings(tmp_path))
+    assert [run.seed for run in runs] == [5, 6, 7] and len({run.directory for run in runs}) == 3
+
+
+class Instant:
+    """An executor that answers each request from a list of outcomes by directory name; records the requests."""
+
+    def __init__(self, answers):
+        self.answers, self.requests = {name: list(each) for name, each in answers.items()}, []
+
+    def submit(self, _, request):
+        future = Future()
+        self.requests.append(request)
+        name = request.directory.rpartition("/")[2]
+        answer = self.answers[name].pop(0) if name in self.answers else Outcome(DONE, "", 1.0)
+        future.set_exception(answer) if isinstance(answer, Exception) else future.set_result(answer)
+        return future
+
+
+def run(folder, name, kernels="k"):
+    directory = folder / name
+    directory.mkdir(exist_ok=True)
+    return CheckedRun(RunRequest("scene.yaml", (), str(directory), 1, "cpu", str(folder / ".stop")), 1, kernels)
+
+
+def drive(executor, runs, slots=1):
+    driver = Driver(executor, lambda: slots, Event(), lambda *_: None)
+    outcomes = driver.run(runs)
+    return {each.directory.name: outcomes[each.request.directory] for each in runs}
+
+
+def names(executor):
+    return [request.directory.rpartition("/")[2] for request in executor.requests]
+
+
+def test_lost_runs_are_retried_twice_and_aborted_runs_never(tmp_path):
+    lost = Outcome(CRASHED, "The process was ended by SIGKILL.", 1.0, is_lost=True)
+    executor = Instant({
+        "a": [lost, lost, Outcome(DONE)], "b": [lost] * 5, "c": [Outcome(ABORTED, "overlap")],
+        "d": [RuntimeError("connection closed"), Outcome(MISSED)], "e": [Outcome(CRASHED, "a defect")],
+    })  # fmt: skip
+    found = drive(executor, [run(tmp_path, name, name) for name in "abcde"])
+    assert {name: each.status for name, each in found.items()} == {
+        "a": DONE, "b": CRASHED, "c": ABORTED, "d": MISSED, "e": CRASHED
+    }  # fmt: skip
+    assert found["b"].reason == "The process was ended by SIGKILL. Attempts: 3."
+    assert [names(executor).count(name) for name in "abcde"] == [3, 3, 1, 2, 1]
+
+
+def test_kernels_of_each_set_are_compiled_before_their_runs(tmp_path):
+    executor = Instant({})
+    drive(executor, [run(tmp_path, name, kernels) for name, kernels in zip("abcde", "xxyyz", strict=True)], slots=1)
+    order = names(executor)
+    assert order.count(".compile_a") == order.count(".compile_c") == 1 and ".compile_e" not in order
+    assert order.index(".compile_a") < order.index("a") and order.index(".compile_c") < order.index("c")
+    assert len(order) == 7
+
+
+def test_ended_runs_are_not_repeated(tmp_path):
+    done, aborted, refused = (run(tmp_path, name) for name in ("done", "aborted", "refused"))
+    result = {"expect": [{"sentence": "x is 1, but should be 2.", "met": False}], "run": {"wall_clock": 2.5}}
+    (done.directory / "result.json").write_text(json.dumps(result))
+    write_outcome(aborted.directory, Outcome(ABORTED, "overlap", 3.0))
+    write_outcome(refused.directory, Outcome(REFUSED, "no memory", 3.0))
+    executor = Instant({})
+    found = drive(executor, [done, aborted, refused])
+    assert names(executor) == ["refused"]
+    assert found["done"] == Outcome(MISSED, "x is 1, but should be 2.", 2.5)
+    assert found["aborted"] == final_outcome(aborted.directory) == Outcome(ABORTED, "overlap", 3.0)
+
+
+def test_table_has_mean_and_standard_error_over_seeds(tmp_path):
+    """Values 1, 2 and 6: mean 3, sample variance 7, standard error sqrt(7/3)."""
+    runs = [run(tmp_path, name) for name in "abc"]
+    for each, value in zip(runs, (1.0, 2.0, 6.0), strict=True):
+        content = {"expect": [], "run": {"wall_clock": 1.0}, "flow_meters": {"out": {"mass_flow": value}}}
+        (each.directory / "result.json").write_text(json.dumps(content))
+    (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
+    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
+    table = table_of(("a",), ("mass_flow.out",), [(point, runs)], outcomes)
+    write_tables(tmp_path, table)
+    with open(tmp_path / "sweep.csv", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert (row["a"], row["status"], row["seconds"], row["runs"]) == ("0.003", "done", "3.0", "a b c")
+    assert float(row["mass_flow.out [kg/s]"]) == pytest.approx(3.0, rel=1e-15)
+    assert float(row["standard_error.mass_flow.out [kg/s]"]) == pytest.approx(np.sqrt(7.0 / 3.0), rel=1e-15)
+    assert len((tmp_path / "runs.csv").read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sweep", "none.yaml"], "none.yaml: there is no such file"),
+        (["sweep", "sweep.yaml", "--jobs", "0"], "give a whole number of at least 1"),
+        (["sweep", "sweep.yaml", "--jobs", "5000"], "need 5000 cores"),
+        (["sweep", "sweep.yaml", "--scheduler-file", "none.json"], "none.json: there is no such file"),
+        (["sweep", "sweep.yaml", "--slurm", "sweep.yaml"], "cores is missing"),
+    ],
+)
+def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, words):
+    write_sweep(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    if "--scheduler-file" in arguments:
+        pytest.importorskip("distributed")
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2 and words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("system", ["slurm", "pbs", "lsf", "sge"])
+def test_batch_profile_gives_a_job_script(system, tmp_path):
+    dask_jobqueue = pytest.importorskip("dask_jobqueue")
+    from granflow.studies.run_processes.cluster import SYSTEMS, cluster_options, read_profile
+
+    path = tmp_path / "profile.yaml"
+    path.write_text(
+        "{jobs: 4, cores: 8, memory: 16 GB, walltime: '02:00', queue: long, prologue: module load python}\n"
+    )
+    kind = getattr(dask_jobqueue, SYSTEMS[system]).job_cls
+    script = kind(
+        scheduler="tcp://10.0.0.1:8786", name="job", **cluster_options(system, read_profile(path), 2)
+    ).job_script()
+    assert "long" in script and "module load python" in script
+    assert script.rindex("--nthreads 4") > script.index("--nthreads 8")

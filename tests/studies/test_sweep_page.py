@@ -1,0 +1,109 @@
+"""Pages of a sweep and of a calibration, from files of runs with known numbers."""
+
+import json
+from math import pi, sin
+
+import numpy as np
+import pytest
+from studies.test_calibration import runner
+from studies.test_sweep import run
+
+from granflow.studies.calibration.page import write_calibration_page
+from granflow.studies.calibration.results import result_of, write_result
+from granflow.studies.run_processes.outcome import ABORTED, Outcome, final_outcome, write_outcome
+from granflow.studies.sweep.design import design_points
+from granflow.studies.sweep.page import write_sweep_page
+from granflow.studies.sweep.schema import SweepInput
+from granflow.studies.sweep.sensitivity import sobol_indices
+from granflow.studies.sweep.series_overlay import series_overlay
+from granflow.studies.sweep.table import table_of
+
+
+def ishigami(x, y, z):
+    return sin(x) + 7.0 * sin(y) ** 2 + 0.1 * z**4 * sin(x)
+
+
+def finished(folder, name, value, aborts=False):
+    """A run with a result and a time series, or an aborted one."""
+    made = run(folder, name)
+    if aborts:
+        write_outcome(made.directory, Outcome(ABORTED, "overlap above the limit", 2.0))
+        return made
+    content = {"expect": [], "run": {"wall_clock": 1.0}, "flow_meters": {"out": {"mass_flow": value}}}
+    (made.directory / "result.json").write_text(json.dumps(content))
+    rows = [f"{0.1 * k},run,{value * 0.1 * k},{value}" for k in range(20)]
+    heads = "time [s],stage,flow_mass.out [kg],mass_flow.out [kg/s]"
+    (made.directory / "timeseries.csv").write_text("\n".join([heads, *rows]) + "\n")
+    return made
+
+
+def swept(folder, aborts=(), **parts):
+    """A sweep of three parameters whose runs have the Ishigami function as their mass flow rate."""
+    bounds = {"from": -pi, "to": pi} | ({} if "sampling" in parts else {"count": 3})
+    content = {"scene": "a.yaml", "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds), "read": ["mass_flow.out"]}
+    sweep = SweepInput.model_validate(content | parts)
+    points = [
+        (point, [finished(folder, f"run{k}", ishigami(*point.values.values()), k in aborts)])
+        for k, point in enumerate(design_points(sweep))
+    ]
+    outcomes = {each.request.directory: final_outcome(each.directory) for _, (each,) in points}
+    return sweep, table_of(tuple(sweep.vary), sweep.read, points, outcomes)
+
+
+def test_page_of_a_sobol_sweep_has_indices_and_all_points(tmp_path):
+    pytest.importorskip("plotly")
+    pytest.importorskip("SALib")
+    sweep, table = swept(tmp_path, sampling={"kind": "sobol", "count": 64})
+    write_sweep_page(tmp_path, sweep, "study", table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert len(table.rows) == 64 * 5 and all(f"runs/run{k}" in page for k in range(320))
+    (indices,), why = sobol_indices(sweep, table)
+    assert not why and indices.total[0] > indices.first[0] + 0.1  # x interacts with z
+    titles = ("Main effects", "All parameters and quantities", "Sobol indices", "Time series", "All points")
+    assert all(f">{title}</h2>" in page for title in titles) and "Two parameters" not in page
+
+
+def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
+    pytest.importorskip("plotly")
+    sweep, table = swept(tmp_path, aborts=(4,))
+    write_sweep_page(tmp_path, sweep, "study", table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert "Two parameters" in page and "overlap above the limit" in page
+    assert "Sobol indices require sampling: {kind: sobol, count: N}." in page
+
+
+def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
+    pytest.importorskip("SALib")
+    sweep, table = swept(tmp_path, aborts=(4,), sampling={"kind": "sobol", "count": 4})
+    assert sobol_indices(sweep, table) == ([], "mass_flow.out is missing at 1 of 20 points.")
+
+
+def test_overlay_shows_the_series_of_all_runs(tmp_path):
+    runs = {name: finished(tmp_path, name, value).directory for name, value in (("a", 1.0), ("b", 2.0))}
+    plot = series_overlay(runs, ["mass_flow.out"])
+    assert [curve["name"] for curve in plot.figure["data"]] == ["a", "b"]
+    assert set(plot.figure["data"][1]["y"]) == {2.0}
+    labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
+    assert labels == ["mass flow, out", "flow mass, out"]
+
+
+def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
+    """The energy responds to the restitution only, so that the friction cannot be identified."""
+    pytest.importorskip("plotly")
+    found = runner(tmp_path)
+    search, random = found.search, np.random.default_rng(1)
+    while (trial := search.next_trial()) is not None:
+        residual = 50.0 * (trial.params["restitution"] - 0.62) + random.normal(0.0, 0.1)
+        trial.set_user_attr("residuals", {"energy": [residual]})
+        trial.set_user_attr("simulated", {"energy": 1e-3 + 1e-5 * residual})
+        search.study.tell(trial, residual**2)
+    result = result_of(search, found.targets)
+    friction, restitution = result.parameters
+    assert restitution.value == pytest.approx(0.62, abs=0.02) and not restitution.not_identified
+    assert friction.not_identified == "friction cannot be identified from the targets: none of them responds to it."
+    write_result(tmp_path, result)
+    write_calibration_page(tmp_path, search.calibration, "study", result)
+    page = (tmp_path / "calibration.html").read_text()
+    assert (friction.importance, restitution.importance) == (0.0, 1.0)
+    assert friction.not_identified in page and ">Importance</h2>" in page
+    assert len((tmp_path / "trials.csv").read_text().splitlines()) == 13

@@ -1,0 +1,1 @@
+"""Generates the reference pages, tables and pictures of the documentation site from the code of granflow."""

@@ -1,0 +1,91 @@
+"""Gallery page: every shipped scene with picture, description, published values and command."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from docsite.markdown import code, table
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENES, PICTURES = ROOT / "scenes", ROOT / "docs" / "pages" / "gallery"
+COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
+VERIFICATION = "verification"
+"""Folder of the scenes with closed-form results, which have no pictures."""
+INTRODUCTION = """\
+# Gallery
+
+Every scene is part of the package: `granflow examples` lists them, `granflow example hopper` copies one with its
+meshes to the working directory, and `granflow run hopper.yaml` runs it. In a clone: `python3 tools/dev.py run
+scenes/hopper.yaml`. The pictures are rendered by `granflow render`, colored by speed unless stated otherwise.
+[Published values](scenes.md) lists the sources of the comparisons and all expected results.
+"""
+
+
+def page() -> str:
+    """The page in Markdown."""
+    sections = [INTRODUCTION, _contents(), *(_section(name) for name in names() if not name.startswith(VERIFICATION))]
+    rows = [(code(name), _scene(name)["title"]) for name in names() if name.startswith(VERIFICATION)]
+    verification = (
+        "## Verification scenes\n\nSingle collisions and small systems with closed-form or published results.\n\n"
+    )
+    return "\n".join([*sections, verification + table(("scene", "title"), rows)])
+
+
+def names() -> list[str]:
+    """Names of the shipped scenes: paths relative to scenes/ without suffix."""
+    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml"))
+
+
+def picture_of(name: str) -> Path:
+    """Picture of a scene."""
+    return PICTURES / f"{name.replace('/', '_')}.jpg"
+
+
+def _contents() -> str:
+    """Pictures of the scenes with links to their sections; tools/gallery_pictures.py renders them."""
+    cells = []
+    for name in names():
+        if name.startswith(VERIFICATION) or not picture_of(name).exists():
+            continue
+        title = _scene(name)["title"]
+        link = f"[![{title}](gallery/{picture_of(name).name})](#{_identifier(name)})"
+        cells.append(f'<figure markdown="span">{link}<figcaption>{title}</figcaption></figure>')
+    return '<div class="gallery" markdown="block">\n' + "\n".join(cells) + "\n</div>\n"
+
+
+def _section(name: str) -> str:
+    """Title, description, comparisons with published values and command of a scene."""
+    scene = _scene(name)
+    lines = [f"## {scene['title']} {{ #{_identifier(name)} }}\n", f"{scene['description']}\n"]
+    if picture_of(name).exists():
+        lines.append(f"![{scene['title']}](gallery/{picture_of(name).name}){{ width=360 }}\n")
+    lines.append(f"```text\ngranflow example {name}\ngranflow run {Path(name).name}.yaml\n```\n")
+    if rows := list(_comparisons(name)):
+        lines.append(table(("case", "granflow", "published or theory", "deviation"), rows))
+    if wall_clock := json.loads(RESULTS.read_text(encoding="utf-8")).get(name, {}).get("wall_clock"):
+        lines.append(f"Run time: {wall_clock:.0f} s.\n")
+    return "\n".join(lines)
+
+
+def _comparisons(name: str) -> Iterator[tuple[str, ...]]:
+    """Rows of the comparisons of a scene; a row "the same" belongs to the scene of the row before."""
+    current = ""
+    for row in YAML(typ="safe").load(COMPARISONS):
+        if row["scene"].startswith("`"):
+            current = row["scene"].split("`")[1]
+        if current == name:
+            case = row["scene"].replace(f"`{name}`", "").removeprefix("the same").lstrip(", ") or "as shipped"
+            yield case, *(str(row.get(key, "")) for key in ("granflow", "published or theory", "deviation"))
+
+
+def _scene(name: str) -> dict[str, Any]:
+    """A scene as written."""
+    scene: dict[str, Any] = YAML(typ="safe").load(SCENES / f"{name}.yaml")
+    return scene
+
+
+def _identifier(name: str) -> str:
+    return name.replace("/", "-").replace("_", "-")

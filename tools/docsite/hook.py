@@ -1,0 +1,81 @@
+"""Events of MkDocs: adds the generated pages and pictures, inserts facts of contact models, and converts formulas.
+
+A page contains `<!-- contact model NAME -->` or `<!-- contact models -->` where facts of the registry belong.
+"""
+
+import html
+import re
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+from docsite import api_page, command_page, gallery, model_pages, model_pictures, quantity_pages, scene_reference  # noqa: E402
+
+PAGES: Mapping[str, Callable[[], str]] = {
+    "reference/scene.md": scene_reference.page,
+    "reference/commands.md": command_page.page,
+    "reference/timeseries.md": quantity_pages.time_series,
+    "reference/vtu.md": quantity_pages.vtu_arrays,
+    "reference/metrics.md": quantity_pages.metrics,
+    "reference/result.md": quantity_pages.result,
+    "reference/units.md": quantity_pages.units,
+    "reference/presets.md": quantity_pages.presets,
+    "reference/python.md": api_page.page,
+    "gallery.md": gallery.page,
+}
+"""Generated pages by path."""
+MODEL = re.compile(r"<!-- contact model (\w+) -->")
+MODELS = "<!-- contact models -->"
+BOLD_GREEK = re.compile(r'<mi mathvariant="bold-italic">&#x(003[BC][0-9A-F]);</mi>')
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the generated pages and pictures. Raises PluginError for a contact model without a page."""
+    from mkdocs.exceptions import PluginError
+    from mkdocs.structure.files import File
+
+    for path, page in PAGES.items():
+        files.append(File.generated(config, path, content=page()))
+    for name in model_pages.names():
+        path = f"contact_models/{name}.md"
+        if files.get_file_from_path(path) is None:
+            raise PluginError(f"the contact model {name} has no page docs/pages/{path}")
+        slot, _ = model_pages.find(name)
+        picture = model_pictures.picture(slot, name)
+        files.append(File.generated(config, f"assets/models/{name}.svg", content=picture))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Insert the facts of contact models. Raises PluginError if the page of a model does not contain its facts."""
+    from mkdocs.exceptions import PluginError
+
+    path = Path(page.file.src_uri)
+    if path.parent.name == "contact_models" and path.stem in set(model_pages.names()):
+        if MODEL.findall(markdown) != [path.stem]:
+            raise PluginError(f"docs/pages/{path} must contain <!-- contact model {path.stem} --> once")
+    return MODEL.sub(lambda found: model_pages.facts(found[1]), markdown).replace(MODELS, model_pages.overview())
+
+
+def on_page_content(content: str, page: Any, config: Any, files: Any) -> str:
+    """Convert formulas to MathML, which browsers draw without a script."""
+    return FORMULA.sub(lambda found: mathml(found[3], is_block=found[2] == "["), content)
+
+
+def mathml(formula: str, is_block: bool) -> str:
+    """MathML of a LaTeX formula; bold letters are characters, because browsers ignore the attribute."""
+    from latex2mathml.converter import convert
+
+    latex = re.sub(r"\\mathbf ([A-Za-z])", r"\\mathbf{\1}", html.unescape(formula).strip())
+    converted = BOLD_GREEK.sub(_bold, str(convert(latex, display="block" if is_block else "inline")))
+    return f'<div class="formula">{converted}</div>' if is_block else converted
+
+
+def _bold(found: re.Match[str]) -> str:
+    """A Greek letter as the bold italic mathematical character."""
+    return f"<mi>&#x{int(found[1], 16) - 0x03B1 + 0x1D736:X};</mi>"

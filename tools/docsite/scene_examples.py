@@ -1,0 +1,132 @@
+"""Example of each key of a scene: the one of its description, a value in a shipped scene, or one of its type."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from docsite.scene_schema import ROOT, Key, alternatives, as_yaml, dimension_of, parts, referenced
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+LONGEST = 72
+"""Characters of the longest example from a scene."""
+TEXTS = {
+    "description": "8000 glass beads discharge through the outlet.",
+    "file": "parts/drum.stl",
+    "start_from": "../out/hopper",
+    "quantity": "mass_flow.outlet",
+    "name": "settle",
+    "materials": "glass",
+    "groups": "red",
+    "stages": "settle",
+}
+"""Examples of text by key."""
+VECTORS = {
+    "min": "[0, 0, 0]",
+    "max": "[40 mm, 40 mm, 80 mm]",
+    "sides": "[[40 mm, 0, 0], [0, 20 mm, 0]]",
+    **dict.fromkeys(("point", "center", "corner", "translate"), "[0, 0, 10 mm]"),
+    **dict.fromkeys(("normal", "axis", "direction"), "[0, 0, 1]"),
+}
+"""Examples of lists of numbers by key."""
+EXAMPLES = {
+    "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
+    "phase": "90 deg",
+    "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
+}
+"""Examples by key where the shipped scenes have special values or none."""
+
+
+def example_of(key: Key) -> str:
+    """Key and example value as YAML on one line."""
+    value = EXAMPLES.get(key.name) or _described(key.description) or _from_scenes(key)
+    return f"{key.name}: {value or _typical(key.schema, key.name)}"
+
+
+def _described(description: str) -> str:
+    """Example at the end of a description, after "such as"; empty without one."""
+    found = re.search(r"such as ([^;]+?)( for [a-z]+)?$", description)
+    return found[1] if found and ", or" not in found[1] and " of " not in found[1] else ""
+
+
+def _from_scenes(key: Key) -> str:
+    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are long."""
+    found = _harvest().get((key.part, key.name), Counter())
+    short = [text for text in found if len(text) <= LONGEST]
+    return min(short, key=lambda text: (-found[text], len(text), text), default="")
+
+
+@cache
+def _harvest() -> dict[tuple[str, str], Counter[str]]:
+    """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene has it."""
+    found: dict[tuple[str, str], Counter[str]] = {}
+    for pattern in ("*.yaml", "*/*.yaml"):
+        known = set(found)
+        for path in sorted(SCENES.glob(pattern)):
+            for part, name, value in _values(ROOT, YAML(typ="safe").load(path)):
+                if (part, name) not in known:
+                    found.setdefault((part, name), Counter())[as_yaml(value)] += 1
+    return found
+
+
+def _values(part: str, mapping: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Part, key and value of every key in a mapping, nested ones included."""
+    for name, schema in parts()[part].get("properties", {}).items():
+        if name in mapping:
+            yield part, name, mapping[name]
+            yield from _inside(schema, mapping[name])
+
+
+def _inside(schema: dict[str, Any], value: Any) -> Iterator[tuple[str, str, Any]]:
+    """Values of the parts that a value contains."""
+    for each in alternatives(schema):
+        part = referenced(each)
+        if part and isinstance(value, dict) and _fits(part, value):
+            yield from _values(part, value)
+            return
+        if isinstance(value, dict):
+            for inner in each.get("patternProperties", {}).values():
+                for item in value.values():
+                    yield from _inside(inner, item)
+        elif isinstance(value, list) and isinstance(each.get("items"), dict):
+            for item in value:
+                yield from _inside(each["items"], item)
+
+
+def _fits(part: str, value: dict[str, Any]) -> bool:
+    """Whether a mapping is a value of a part: its keys are known, and a key such as `kind` fits."""
+    known = parts()[part].get("properties", {})
+    return set(value) <= set(known) and all(known[key].get("const", each) == each for key, each in value.items())
+
+
+def _typical(schema: dict[str, Any], key: str = "") -> str:
+    """A value of the type of a schema; `key` selects the example of text."""
+    if default := schema.get("default"):
+        return as_yaml(default)
+    options = list(alternatives(schema))
+    first = options[0]
+    for each in options:
+        if dimension := dimension_of(each):
+            return dimension.example
+    if part := referenced(first):
+        return _mapping(part)
+    if "const" in first or "enum" in first:
+        return str(first.get("const") or first["enum"][0])
+    if "prefixItems" in first:
+        return VECTORS.get(key) or f"[{', '.join(_typical(each) for each in first['prefixItems'])}]"
+    if "items" in first:
+        return f"[{_typical(first['items'], key)}]"
+    if "patternProperties" in first:
+        return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
+    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[first["type"]]
+
+
+def _mapping(part: str) -> str:
+    """A mapping with the required keys of a part."""
+    schema = parts()[part]
+    required = [name for name in schema["properties"] if name in schema.get("required", ())]
+    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name], name)}" for name in required) + "}"

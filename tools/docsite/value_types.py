@@ -1,0 +1,83 @@
+"""Type, unit and allowed range of the value of a key in words, from its JSON Schema."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from docsite.markdown import anchor
+from docsite.scene_schema import alternatives, dimension_of, parts, referenced, si_unit, variant
+
+
+def type_text(schema: dict[str, Any]) -> str:
+    """Types that a key accepts, with unit and links to parts; never empty."""
+    found = list(dict.fromkeys(_types(schema)))
+    if len(found) > 1:
+        found = [each for each in found if each != "number"] if any("with unit" in each for each in found) else found
+    return " or ".join(found)
+
+
+def range_text(schema: dict[str, Any]) -> str:
+    """Allowed values: bounds of numbers, words, lengths of lists; empty if there is no limit."""
+    return "; ".join(dict.fromkeys(_ranges(schema)))
+
+
+def part_link(part: str, label: str) -> str:
+    """Link to the section of a part: the key that selects it, or the label."""
+    return f"[{variant(part) or label}](#{anchor(part)})"
+
+
+def first_key(part: str) -> str:
+    """First required key of a part, which selects it in a union of parts without a key such as `kind`."""
+    schema = parts()[part]
+    return next(iter(schema.get("required") or schema["properties"]))
+
+
+def _types(schema: dict[str, Any]) -> Iterator[str]:
+    """Types of the alternatives; a number and its text with unit are one type."""
+    options = list(alternatives(schema))
+    is_union = sum(referenced(each) is not None for each in options) > 1
+    dimensions = [each for each in map(dimension_of, options) if each is not None]
+    for each in options:
+        if part := referenced(each):
+            yield part_link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
+        elif "prefixItems" in each:
+            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0])}"
+        elif "items" in each:
+            yield f"list of {type_text(each['items'])}"
+        elif "patternProperties" in each:
+            inner = next(iter(each["patternProperties"].values()))
+            yield f"names, each with {type_text(inner)}"
+        elif each.get("type") in ("number", "integer"):
+            yield _number(each, si_unit(dimensions[0]) if dimensions else "")
+        elif "enum" in each or "const" in each:
+            yield "word"
+        elif "pattern" not in each or each["pattern"].startswith("^["):
+            yield {"string": "text", "boolean": "true or false"}[each["type"]]
+        elif not dimensions:
+            yield "number or text with unit"
+
+
+def _number(schema: dict[str, Any], unit: str) -> str:
+    """Type of a number with the SI unit."""
+    if schema["type"] == "integer":
+        return "whole number"
+    return f"number [{unit}]" if unit else "number"
+
+
+def _ranges(schema: dict[str, Any]) -> Iterator[str]:
+    for each in alternatives(schema):
+        yield from _bounds(each)
+        if words := each.get("enum") or ([each["const"]] if "const" in each else []):
+            yield ", ".join(f"`{word}`" for word in words)
+        if "minItems" in each and "prefixItems" not in each:
+            yield f"at least {each['minItems']} item"
+        for inner in [*each.get("prefixItems", ())[:1], *([each["items"]] if "items" in each else [])]:
+            yield from _ranges(inner)
+
+
+def _bounds(schema: dict[str, Any]) -> Iterator[str]:
+    """Bounds of a number."""
+    low, above, high = (schema.get(key) for key in ("minimum", "exclusiveMinimum", "maximum"))
+    words = [("at least", low), ("above", above), ("at most", high)]
+    text = " and ".join(f"{word} {bound:g}" for word, bound in words if bound is not None)
+    if text:
+        yield text
