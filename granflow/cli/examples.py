@@ -1,4 +1,4 @@
-"""The verbs examples and example: list the shipped scenes, and copy one with its input files."""
+"""The verbs examples and example: list the shipped scenes, sweeps and calibrations; copy one with its input files."""
 
 import argparse
 import shutil
@@ -10,9 +10,12 @@ from granflow.cli.arguments import add_verb
 from granflow.cli.messages import say
 from granflow.errors import GranflowError
 
+VERBS = {"sweeps": "sweep", "calibration": "calibrate"}
+"""Folders of shipped files that are not scenes, and the verbs that run them."""
+
 
 def examples(options: argparse.Namespace) -> int:
-    """`granflow examples`: list the names and titles of the shipped scenes."""
+    """`granflow examples`: list the names and titles of the shipped scenes, sweeps and calibrations."""
     from granflow.scene.yaml12 import parse
 
     paths = scene_paths()
@@ -32,8 +35,10 @@ def example(options: argparse.Namespace) -> int:
     from granflow.runs.input_copies import input_files
 
     source = path_of(options.name)
-    inputs = [path for _, path in input_files(load(source))]
-    targets = {path: options.out / path.relative_to(source.parent) for path in (source, *inputs)}
+    scenes = _scenes_of(source)
+    inputs = [path for scene in scenes for _, path in input_files(load(scene))]
+    folder = source.parent if source in scenes else source.parents[1]
+    targets = {path: options.out / path.relative_to(folder) for path in (source, *scenes, *inputs)}
     for path, target in targets.items():
         if target.exists() and not cmp(path, target, shallow=False):
             raise GranflowError(
@@ -43,8 +48,22 @@ def example(options: argparse.Namespace) -> int:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
         say(str(target))
-    say(f"Run it with granflow run {targets[source]}")
+    say(f"Run it with granflow {VERBS.get(source.parent.name, 'run')} {targets[source]}")
     return 0
+
+
+def _scenes_of(source: Path) -> list[Path]:
+    """The scene itself, or the scenes of a sweep or a calibration."""
+    verb = VERBS.get(source.parent.name)
+    if verb == "sweep":
+        from granflow.studies.sweep.run import read_sweep
+
+        return [read_sweep(source).scene.resolve()]
+    if verb == "calibrate":
+        from granflow.studies.calibration.run import read_calibration
+
+        return [path.resolve() for path in read_calibration(source).scenes.values()]
+    return [source]
 
 
 def path_of(name: str) -> Path:
@@ -59,7 +78,7 @@ def path_of(name: str) -> Path:
 
 
 def scene_paths() -> dict[str, Path]:
-    """Paths of the shipped scenes by name; in a wheel they are in the package, in a clone beside it."""
+    """Paths of the shipped scenes, sweeps and calibrations by name: in the package of a wheel, beside it in a clone."""
     package = Path(__file__).resolve().parents[1]
     folder = package / "scenes" if (package / "scenes").is_dir() else package.parent / "scenes"
     return {path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(folder.rglob("*.yaml"))}

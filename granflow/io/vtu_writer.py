@@ -6,7 +6,7 @@ frame, while it holds the interpreter lock.
 
 import zlib
 from binascii import b2a_base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -22,9 +22,10 @@ LEVEL = 1
 """Compression level of zlib: files are 3 % larger than with the default of 6, which takes three times as long."""
 
 HEAD = (
-    b'<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
-    b'header_type="UInt32" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n'
+    '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
+    'header_type="UInt32"{compressor}>\n<UnstructuredGrid>\n'
 )
+COMPRESSOR = ' compressor="vtkZLibDataCompressor"'
 TAIL = b"</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
 TYPE_NAMES = {"f": "Float", "i": "Int", "u": "UInt"}
 """Beginning of the VTK type by the kind of the numpy type; the number of bits follows."""
@@ -37,18 +38,25 @@ def write_vtu(path: Path, mesh: VtuMesh) -> None:
 
 
 def _parts(mesh: VtuMesh) -> Iterator[bytes]:
-    """Parts of the file in order; a mesh without cells gets one polygon without corners, with zero data."""
+    """Parts of the file in order.
+
+    A mesh without cells gets one polygon without corners, with zero data, and is not compressed: meshio reads neither
+    files without cells nor compressed arrays without values.
+    """
     cell_count = sum(len(block.data) for block in mesh.cells)
-    cells = _cell_arrays(mesh.cells) if cell_count else _empty_polygon()
     cell_data = {name: np.concatenate(parts) for name, parts in mesh.cell_data.items()}
+    cells, encoded = _cell_arrays(mesh.cells), _compressed
     if not cell_count:
-        cell_count, cell_data = 1, {name: np.zeros((1, *v.shape[1:]), v.dtype) for name, v in cell_data.items()}
-    yield HEAD
+        cells, encoded, cell_count = _empty_polygon(), _uncompressed, 1
+        cell_data = {name: np.zeros((1, *values.shape[1:]), values.dtype) for name, values in cell_data.items()}
+    yield HEAD.format(compressor=COMPRESSOR if encoded is _compressed else "").encode()
     yield f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cell_count}">\n'.encode()
-    yield from _section("Points", {"Points": mesh.points})
-    yield from _section("Cells", cells)
-    yield from _section("PointData", mesh.point_data)
-    yield from _section("CellData", cell_data)
+    sections = {"Points": {"Points": mesh.points}, "Cells": cells, "PointData": mesh.point_data, "CellData": cell_data}
+    for name, arrays in sections.items():
+        yield f"<{name}>\n".encode()
+        for each, values in arrays.items():
+            yield from _array(each, values, encoded)
+        yield f"</{name}>\n".encode()
     yield TAIL
 
 
@@ -59,14 +67,6 @@ def _empty_polygon() -> dict[str, np.ndarray]:
         "offsets": np.zeros(1, np.int64),
         "types": np.full(1, POLYGON, np.uint8),
     }
-
-
-def _section(name: str, arrays: Mapping[str, np.ndarray]) -> Iterator[bytes]:
-    """An element with arrays."""
-    yield f"<{name}>\n".encode()
-    for each, values in arrays.items():
-        yield from _array(each, values)
-    yield f"</{name}>\n".encode()
 
 
 def _cell_arrays(blocks: list[CellBlock]) -> dict[str, np.ndarray]:
@@ -80,16 +80,24 @@ def _cell_arrays(blocks: list[CellBlock]) -> dict[str, np.ndarray]:
     }
 
 
-def _array(name: str, values: np.ndarray) -> Iterator[bytes]:
-    """A DataArray (n,) or (n, components): the sizes of its blocks, then the compressed blocks, both in base64."""
+def _array(name: str, values: np.ndarray, encoded: Callable[[memoryview], bytes]) -> Iterator[bytes]:
+    """A DataArray (n,) or (n, components) in base64."""
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     kind = f"{TYPE_NAMES[little.dtype.kind]}{8 * little.itemsize}"
     components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim > 1 else ""
     yield f'<DataArray type="{kind}" Name={quoteattr(name)}{components} format="binary">'.encode()
-    data = little.reshape(-1).view(np.uint8).data
+    yield encoded(little.reshape(-1).view(np.uint8).data)
+    yield b"</DataArray>\n"
+
+
+def _compressed(data: memoryview) -> bytes:
+    """Numbers and sizes of blocks, then the compressed blocks."""
     blocks = [zlib.compress(data[begin : begin + BLOCK_SIZE], LEVEL) for begin in range(0, len(data), BLOCK_SIZE)]
     last_size = len(data) - BLOCK_SIZE * (len(blocks) - 1) if blocks else 0
     sizes = [len(blocks), BLOCK_SIZE, last_size, *map(len, blocks)]
-    yield b2a_base64(np.array(sizes, "<u4").tobytes(), newline=False)
-    yield b2a_base64(b"".join(blocks), newline=False)
-    yield b"</DataArray>\n"
+    return b2a_base64(np.array(sizes, "<u4").tobytes(), newline=False) + b2a_base64(b"".join(blocks), newline=False)
+
+
+def _uncompressed(data: memoryview) -> bytes:
+    """Number of bytes, then the bytes."""
+    return b2a_base64(np.array([len(data)], "<u4").tobytes() + bytes(data), newline=False)

@@ -33,6 +33,17 @@ def test_scene_of_a_subfolder_is_copied_with_its_particle_file(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"through_flow.yaml", "through_flow_grid.csv"}
 
 
+def test_sweep_is_copied_with_its_scene(tmp_path, capsys):
+    assert main(["example", "sweeps/repose_friction", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "angle_of_repose.yaml").is_file()
+    assert f"granflow sweep {tmp_path / 'sweeps' / 'repose_friction.yaml'}" in capsys.readouterr().out
+
+
+def test_calibration_is_copied_with_its_scenes(tmp_path):
+    assert main(["example", "calibration/glass_beads", "--out", str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.glob("*.yaml")} == {"angle_of_repose.yaml", "flat_silo.yaml"}
+
+
 def test_changed_file_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "hopper.yaml").write_text("title: mine\n")
     assert main(["example", "hopper", "--out", str(tmp_path)]) == 2

@@ -11,6 +11,8 @@ import pytest
 
 from granflow.cli.examples import scene_paths
 from granflow.cli.main import main
+from granflow.studies.calibration.run import read_calibration
+from granflow.studies.sweep.run import read_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -83,11 +85,27 @@ def main_accepts(command):
     return True
 
 
+STUDY_FILES = {"sweep.yaml": read_sweep, "calibration.yaml": read_calibration}
+"""Reader of each file in the guides that is not a scene; raises SceneError for an invalid file."""
+
+
+def test_sweep_and_calibration_of_the_guide_are_valid(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("flat_silo.yaml", "angle_of_repose.yaml"):
+        shutil.copy(ROOT / "scenes" / name, tmp_path)
+    Path("flow.csv").write_text("time,value\n0.0,0.0\n1.0,0.1\n")
+    found = {NAMED.match(text)[1]: text for language, text in blocks(Path("guides/sweeps.md")) if NAMED.match(text)}
+    assert set(found) == set(STUDY_FILES)
+    for name, text in found.items():
+        Path(name).write_text(text)
+        STUDY_FILES[name](name)
+
+
 def guide_scenes(page="*"):
     """Names and texts of the complete scenes of the guides."""
     for path in sorted((PAGES / "guides").glob(f"{page}.md")):
         for language, text in blocks(path.relative_to(PAGES)):
-            if language == "yaml" and NAMED.match(text):
+            if language == "yaml" and NAMED.match(text) and NAMED.match(text)[1] not in STUDY_FILES:
                 yield NAMED.match(text)[1], text
 
 

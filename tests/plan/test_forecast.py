@@ -16,7 +16,11 @@ from granflow.plan.forecast.contact import impact_overlap
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
 
-SCENES = sorted((Path(__file__).parents[2] / "scenes").rglob("*.yaml"))
+SCENES = [
+    path
+    for path in sorted((Path(__file__).parents[2] / "scenes").rglob("*.yaml"))
+    if path.parent.name not in ("sweeps", "calibration")
+]
 RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
 FLOOR = plane([0, 0, 0], [0, 0, 1], "rubber")
 

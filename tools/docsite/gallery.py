@@ -35,8 +35,9 @@ def page() -> str:
 
 
 def names() -> list[str]:
-    """Names of the shipped scenes: paths relative to scenes/ without suffix."""
-    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml"))
+    """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
+    paths = [path.relative_to(SCENES) for path in SCENES.rglob("*.yaml")]
+    return sorted(path.with_suffix("").as_posix() for path in paths if path.parts[0] not in ("sweeps", "calibration"))
 
 
 def picture_of(name: str) -> Path:
