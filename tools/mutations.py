@@ -124,15 +124,15 @@ MUTATIONS = (
     Mutation(
         "wall velocity half a step late",
         "granflow/engine/walls.py",
-        "middle = [pose(motions, times - 0.5 * clock.time_step)",
-        "middle = [pose(motions, times)",
+        "middles = times - 0.5 * clock.time_step",
+        "middles = times",
         (WALL_TIME,),
     ),
     Mutation(
         "wall velocity half a step early",
         "granflow/engine/walls.py",
-        "middle = [pose(motions, times - 0.5 * clock.time_step)",
-        "middle = [pose(motions, times - clock.time_step)",
+        "middles = times - 0.5 * clock.time_step",
+        "middles = times - clock.time_step",
         (WALL_TIME,),
     ),
     # Lock and checkpoints
@@ -286,8 +286,8 @@ MUTATIONS = (
     Mutation(
         "neighbors of the next index",
         "granflow/engine/neighbor/neighbor_list.py",
-        "if j > i or j < first",
-        "if j > i + 1 or j < first",
+        "if j > i or j < owner.first",
+        "if j > i + 1 or j < owner.first",
         ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(

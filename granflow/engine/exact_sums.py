@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.backend import Backend
 from granflow.engine.limits import ABORT_FORCE
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -26,11 +25,6 @@ SHARES = 2
 def to_units(value):
     """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
     return ti.cast(value, ti.i64)
-
-
-def sum_type(backend: Backend) -> Any:
-    """Type of the sums of forces: f64, or the type of the forces on a device without it, whose sums are not exact."""
-    return backend.real if backend.arch in ("metal", "vulkan") else ti.f64
 
 
 def build_to_grid(real: Any) -> Any:
@@ -63,14 +57,14 @@ def build_set_forces(state: State) -> Any:
     Writes:  force, torque, abort, abort_particle
     """
     particles, control, features, real = state.particles, state.control, state.plan.features, state.backend.real
-    per_unit, sum_real = state.parameter("per_unit"), sum_type(state.backend)
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def set_forces(i, force_sum, torque_sum, acceleration):
         particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * acceleration
         if ti.static(features.rotation):
             particles.torque[i] = ti.cast(torque_sum, real)
-        units = ti.cast(per_unit(), sum_real)
+        units = ti.cast(per_unit(), ti.f64)
         force, torque = units[FORCE] * force_sum, units[TORQUE] * torque_sum
         if ti.max(force.norm_sqr(), torque.norm_sqr()) > LIMIT_SQUARED:
             ti.atomic_max(control.abort[0], ABORT_FORCE)

@@ -12,7 +12,6 @@ from granflow.engine.exact_sums import (
     build_set_forces,
     build_to_grid,
     carried,
-    sum_type,
     to_units,
 )
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
@@ -256,7 +255,7 @@ def build_forces(state: State) -> Any:
     plan, neighbors = state.plan, state.neighbors
     features, real, chunk_size = plan.features, state.backend.real, state.parameter("chunk_size")
     gravity, shift = state.parameter("gravity"), state.parameter("shift")
-    batch, to_grid, sum_real = state.batch, build_to_grid(real), sum_type(state.backend)
+    batch, to_grid = state.batch, build_to_grid(real)
     batched, set_forces, carry_sums = batch is not None, build_set_forces(state), _build_carry_sums(state)
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
@@ -268,12 +267,12 @@ def build_forces(state: State) -> Any:
     @ti.func
     def add_contact(force, torque, force_sum, torque_sum):
         force_added, torque_added = to_grid(force, shift()[FORCE]), to_grid(torque, shift()[TORQUE])
-        return force_sum + ti.cast(force_added, sum_real), torque_sum + ti.cast(torque_added, sum_real)
+        return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
 
     @ti.func
     def particle_forces(chunk, i, pose, dt):
         """Sums of the forces and torques of walls and, without batches, of particles."""
-        force_sum, torque_sum = ti.Vector.zero(sum_real, 3), ti.Vector.zero(sum_real, 3)
+        force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
         if ti.static(plan.has_walls):
             for pass_index in range(pass_count):
                 for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
@@ -305,7 +304,7 @@ def build_forces(state: State) -> Any:
             batched_forces(worker, chunk, first, last, pose, dt)
             for i in range(first, last):
                 sums = batch.sums[worker, i - first]
-                torque_sum = ti.Vector.zero(sum_real, 3)
+                torque_sum = ti.Vector.zero(ti.f64, 3)
                 if ti.static(features.rotation):
                     torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
                 set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum, acceleration)
