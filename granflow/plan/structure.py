@@ -5,12 +5,12 @@ from dataclasses import replace
 
 from granflow.geometry.catalog import surface_code
 from granflow.plan.capacities import Capacities
-from granflow.plan.device_arrays import mesh_arrays
+from granflow.plan.device_arrays import mesh_arrays, particle_arrays
 from granflow.plan.plan import Plan
 
 
 def structure_of(plan: Plan) -> Hashable:
-    """Features, contact laws, kinds of walls, outlets and motions, and lengths of all arrays but the neighbor lists.
+    """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor lists'.
 
     Contact laws count with all their settings.
     """
@@ -25,6 +25,7 @@ def structure_of(plan: Plan) -> Hashable:
         frozenset(surface_code(wall.shape) for wall in plan.walls),
         tuple(outlet.kind for outlet in plan.outlets),
         tuple(motion.kind for motion in plan.controlled_motions),
+        tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),
         _without_lists(plan.capacities),
         tuple(array.shape for array in mesh_arrays(plan)) if plan.meshes else (),
     )

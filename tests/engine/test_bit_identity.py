@@ -10,6 +10,7 @@ from subprocess_runner import in_subprocess
 
 from granflow.engine import backend
 from granflow.engine.threads import workers
+from granflow.simulation import Simulation
 
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)
 """Number of workers that exceeds the number of threads in Taichi's pool."""
@@ -103,7 +104,9 @@ def gpu_fingerprint(as_on_gpu):
         numerics={"chunk_size": 1}, run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6},
         output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
-    last, simulation = run_to_end(scene, threads=2)
+    simulation = Simulation(scene, threads=2)
+    simulation.run()
+    last = simulation.snapshot()
     return digest_of(last), simulation.engine.state.stride, last.totals["contact_count"], last.totals["energy_error"]
 
 

@@ -72,7 +72,7 @@ def test_added_property_is_counted_in_the_memory_estimate(monkeypatch, precision
     request.getfixturevalue("with_temperature")
     after = estimate_memory(plan, precision)
     assert after.per_particle - before.per_particle == size
-    assert after.total - before.total == size * plan.particle_capacity
+    assert after.total - before.total == size * plan.capacities.particles
 
 
 def test_property_with_a_condition_exists_only_if_the_plan_needs_it(taichi_f64, monkeypatch):
