@@ -32,7 +32,7 @@ from typing import Any
 
 from benchmark.machine import machine
 from benchmark.phases import PROFILER
-from gpu import beds, checks, device, speed
+from gpu_checks import beds, checks, device, speed
 
 CHILDREN: dict[str, Callable[..., Any]] = {
     "present": device.present,

@@ -44,7 +44,11 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
     if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
-        return _static(touching, plan, pair)
+        return f"The contact is almost at rest: {_static(touching, plan, pair)}"
+    reached = impact_overlap(plan.laws, touching, pair.impact_velocity)
+    if reached < pair.overlap:
+        alone = f"An impact at {pair.impact_velocity:.3g} m/s alone reaches {reached:.3g} of the radius"
+        return f"{alone}, other particles or walls press as well: {_static(touching, plan, pair)}"
     return _impact(touching, plan, pair.impact_velocity)
 
 
@@ -75,7 +79,7 @@ def _static(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
     cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
     less = ", lower the pressure" if pressing else ""
-    return f"The contact is almost at rest: its cause is {cause}: {remedy}{less}."
+    return f"its cause is {cause}: {remedy}{less}."
 
 
 def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:

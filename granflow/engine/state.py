@@ -312,6 +312,10 @@ class FreedState:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
 
 
+UNROLLED = 16
+"""Fields that one loop clears; the kernel language warns of more than 32 statements without a loop."""
+
+
 def _build_clear(state: State) -> Callable[[], None]:
     """Kernel (): fill all fields with zeros.
 
@@ -320,7 +324,7 @@ def _build_clear(state: State) -> Callable[[], None]:
     by_shape: dict[tuple[int, ...], list[Any]] = {}
     for field in state.fields:
         by_shape.setdefault(field.shape, []).extend(components(field))
-    groups = list(by_shape.values())
+    groups = [fields[k : k + UNROLLED] for fields in by_shape.values() for k in range(0, len(fields), UNROLLED)]
 
     @ti.kernel
     def clear():

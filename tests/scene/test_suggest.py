@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from plan.scenes import TEXT, scene_of
 
-from granflow.contact import registry
 from granflow.errors import SceneError
 from granflow.load import Scene, load
 from granflow.scene.suggest import SYNONYMS, nearest
@@ -18,7 +17,7 @@ SCENES = Path(__file__).parents[2] / "scenes"
     [
         ("contact.normal=hertz-mindlin", "Did you mean hertz?"),
         ("contact.tangential=hertz-mindlin", "Did you mean mindlin?"),
-        ("contact.cohesion=jkr", "jkr"),
+        ("contact.cohesion=simplified_jkr", "Did you mean sjkr?"),
         ("contact.normal=hooke", "Did you mean linear?"),
         ("particles.beads.insert={kind: random}", "Did you mean pack?"),
         ("particles.beads.insert={kind: insert/stream}", "Did you mean inlet?"),
@@ -30,8 +29,6 @@ SCENES = Path(__file__).parents[2] / "scenes"
     ],
 )
 def test_names_of_other_codes_are_recognized(tmp_path, override, suggestion):
-    if override == "contact.cohesion=jkr" and "jkr" in registry.models("cohesion"):
-        pytest.skip("jkr is a model")
     with pytest.raises(SceneError) as refused:
         scene_of(tmp_path, override)
     assert suggestion in str(refused.value)

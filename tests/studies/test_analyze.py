@@ -51,7 +51,7 @@ def test_analyzed_metrics_equal_those_of_the_run(out, tmp_path):
     assert main(["analyze", str(out), "--out", str(tmp_path)]) == 0
     measured, series = rows_of(tmp_path / "metrics.csv"), rows_of(out / "timeseries.csv")
     assert len(measured) == len(series) >= 4
-    assert len(measured[0]) == 2 + 1 + 4 + 3 + 2
+    assert len(measured[0]) == 2 + 1 + 4 + 4 + 2
     for one, other in zip(measured, series, strict=True):
         assert one["stage"] == other["stage"]
         for name in set(one) - {"stage"}:
@@ -73,7 +73,8 @@ def test_other_metrics_can_be_requested(out, tmp_path, capsys):
     requested = ["--set", "output.metrics={pile: {kind: coordination}}", "--set", "output.fields={}"]
     assert main(["analyze", str(out), "--out", str(tmp_path), *requested]) == 0
     assert set(rows_of(tmp_path / "metrics.csv")[0]) == {
-        "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile", "rattler_share.pile",
+        "time [s]", "stage", "coordination_number.pile", "mechanical_coordination_number.pile",
+        "wall_coordination_number.pile", "rattler_share.pile",
     }  # fmt: skip
     assert "rattler_share.pile" in capsys.readouterr().out
 

@@ -40,7 +40,7 @@ def test_missing_device_is_reported_in_one_sentence(tmp_path):
     ("value", "passed"), [(0.9, True), (-0.9, True), (1.1, False), (-1.1, False), (float("nan"), False)]
 )
 def test_check_passes_within_its_limit_and_fails_for_nan(value, passed):
-    assert module("gpu.checks").record("any", value, 1.0)["passed"] is passed
+    assert module("gpu_checks.checks").record("any", value, 1.0)["passed"] is passed
 
 
 def trajectory(path, offset):
@@ -56,7 +56,9 @@ def trajectory(path, offset):
 def test_agreement_limit_follows_from_a_displaced_start(tmp_path, offset, passed):
     """The reference with displaced start deviates by 1e-6, so that the limit with a margin of 10 is 1e-5."""
     reference, disturbed = trajectory(tmp_path / "reference.npz", 0.0), trajectory(tmp_path / "disturbed.npz", 1e-6)
-    records = module("gpu.checks").agreement(trajectory(tmp_path / "here.npz", offset), reference, disturbed, 10.0)
+    records = module("gpu_checks.checks").agreement(
+        trajectory(tmp_path / "here.npz", offset), reference, disturbed, 10.0
+    )
     passed_checks = {each["name"].split(" difference")[0]: each["passed"] for each in records}
     assert passed_checks["position"] is passed_checks["velocity"] is passed
     assert passed_checks["steps missing"]
@@ -88,7 +90,7 @@ POINT = {
 
 
 def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
-    check, good = module("gpu_check"), module("gpu.checks").record("good", 0.0, 1.0)
+    check, good = module("gpu_check"), module("gpu_checks.checks").record("good", 0.0, 1.0)
     monkeypatch.setattr(check.checks, "displacement", lambda *_: 1e-9)
     monkeypatch.setattr(check.checks, "agreement", lambda *_: [good])
     vibrated_box = {"digest": "a", "checks": [good]}
@@ -117,7 +119,7 @@ def test_results_are_written_before_a_later_measurement_is_skipped(tmp_path, mon
 
 def measured_in_subprocess(tools, path):
     sys.path.insert(0, tools)
-    from gpu import device, speed
+    from gpu_checks import device, speed
 
     found = speed.measure("cpu", "mixed", path, 4, 0.05)
     return found | {"gpu_kernels": device._gpu_bandwidth(1 << 16)}  # kernels for the GPU must compile on the CPU

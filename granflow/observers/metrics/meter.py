@@ -24,7 +24,7 @@ class MetricMeter:
         """Evaluate the metric with a snapshot, which must have the parts `wants`."""
         if snapshot.stage != self._stage:
             self._stage, self._sums, self._counts = snapshot.stage, {}, {}
-        self._last = dict(self._measure(snapshot))
+        self._last = {name: float(value) for name, value in self._measure(snapshot).items()}
         for name, number in self._last.items():
             known = number == number
             self._sums[name] = self._sums.get(name, 0.0) + (number if known else 0.0)

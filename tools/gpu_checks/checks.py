@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from benchmark.cases import RADIUS_MEAN
 
-from gpu.beds import bed, engine_for
+from gpu_checks.beds import bed, engine_for
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 VERIFIED = ("unequal_spheres", "wall_limit", "chung_ooi_3", "conveyor", "incline", "stack_at_rest", "mfix_slip_to_roll")

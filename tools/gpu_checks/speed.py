@@ -7,8 +7,8 @@ from typing import Any
 from benchmark import counts, ours, phases
 from benchmark.cases import Case
 
-from gpu.beds import bed, engine_for, plan_of
-from gpu.device import bandwidth
+from gpu_checks.beds import bed, engine_for, plan_of
+from gpu_checks.device import bandwidth
 
 BATCH = 64
 """Steps between two queries of the clock."""
