@@ -8,9 +8,10 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from granflow.cli.examples import scene_paths
+
 ROOT = Path(__file__).parent.parent
-SHIPPED = [path for path in (ROOT / "scenes").rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration")]
-FILES = sorted([*SHIPPED, ROOT / "tests" / "messages" / "good.yaml"])
+FILES = sorted([*scene_paths().values(), ROOT / "tests" / "messages" / "good.yaml"])
 SCENES = [YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8")) for path in FILES]
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from granflow.cli.examples import scene_paths
 from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -30,8 +31,7 @@ COLUMNS = ("scene", "what should be seen", "granflow", "published or theory", "d
 
 def names() -> list[str]:
     """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
-    paths = [path for path in SCENES.rglob("*.yaml") if path.parent.name not in ("sweeps", "calibration")]
-    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in paths)
+    return sorted(scene_paths())
 
 
 def row(cells: Sequence[str]) -> str:

@@ -2,12 +2,11 @@
 
 import argparse
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_out, add_verb, count, thread_count
 from granflow.cli.messages import exit_code_of, print_error, say, show_table
-from granflow.cli.signals import deferred_to
+from granflow.cli.signals import deferred_to_event
 
 if TYPE_CHECKING:
     from granflow.studies.calibration.results import CalibrationResult
@@ -23,13 +22,7 @@ def calibrate(options: argparse.Namespace) -> int:
 
     study = read_calibration(options.file)
     out = options.out or Path("out") / study.name
-    stop, signals = Event(), list[BaseException]()
-
-    def request(error: BaseException) -> None:
-        signals.append(error)
-        stop.set()
-
-    with deferred_to(request):
+    with deferred_to_event() as (stop, signals):
         result = run_calibration(study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True))
     if signals and isinstance(signals[0], KeyboardInterrupt):
         return print_error("stopped; the same command continues the calibration.", exit_code_of(signals[0]))

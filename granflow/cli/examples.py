@@ -18,7 +18,7 @@ def examples(options: argparse.Namespace) -> int:
     """`granflow examples`: list the names and titles of the shipped scenes, sweeps and calibrations."""
     from granflow.scene.yaml12 import parse
 
-    paths = scene_paths()
+    paths = example_paths()
     width = max(map(len, paths))
     for name, path in paths.items():
         title = parse(path.read_text(encoding="utf-8"), str(path), with_positions=False).find(("title",))
@@ -70,7 +70,7 @@ def path_of(name: str) -> Path:
     """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown name."""
     from granflow.scene.suggest import suggestion_or_list
 
-    paths = scene_paths()
+    paths = example_paths()
     known = name.removesuffix(".yaml")
     if known not in paths:
         raise GranflowError(f"{name} is not one of the shipped scenes. {suggestion_or_list(known, paths, 'scenes')}")
@@ -78,6 +78,11 @@ def path_of(name: str) -> Path:
 
 
 def scene_paths() -> dict[str, Path]:
+    """Paths of the shipped scenes by name, without sweeps and calibrations."""
+    return {name: path for name, path in example_paths().items() if path.parent.name not in VERBS}
+
+
+def example_paths() -> dict[str, Path]:
     """Paths of the shipped scenes, sweeps and calibrations by name: in the package of a wheel, beside it in a clone."""
     package = Path(__file__).resolve().parents[1]
     folder = package / "scenes" if (package / "scenes").is_dir() else package.parent / "scenes"

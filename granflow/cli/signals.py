@@ -127,6 +127,19 @@ def stop_signals() -> Iterator[None]:
 
 
 @contextmanager
+def deferred_to_event() -> Iterator[tuple[threading.Event, list[BaseException]]]:
+    """In the block, a stop signal sets the event and appends its exception to the list; see `deferred_to`."""
+    stop, signals = threading.Event(), list[BaseException]()
+
+    def request(error: BaseException) -> None:
+        signals.append(error)
+        stop.set()
+
+    with deferred_to(request):
+        yield stop, signals
+
+
+@contextmanager
 def deferred_to(request: Callable[[BaseException], None]) -> Iterator[None]:
     """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises.
 

@@ -2,12 +2,11 @@
 
 import argparse
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import ARCHITECTURES, add_out, add_verb, count, thread_count
 from granflow.cli.messages import exit_code_of, print_error, say, show_table
-from granflow.cli.signals import deferred_to
+from granflow.cli.signals import deferred_to_event
 
 if TYPE_CHECKING:
     from granflow.studies.run_processes.driver import Progress
@@ -27,13 +26,7 @@ def sweep(options: argparse.Namespace) -> int:
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name
-    stop, signals = Event(), list[BaseException]()
-
-    def request(error: BaseException) -> None:
-        signals.append(error)
-        stop.set()
-
-    with deferred_to(request):
+    with deferred_to_event() as (stop, signals):
         table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run)
     if signals and isinstance(signals[0], KeyboardInterrupt):
         remedy = "the same command continues it"

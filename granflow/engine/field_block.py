@@ -77,6 +77,13 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
 
 
+def write_padded(field: Any, values: np.ndarray) -> None:
+    """Write values (k, ...) into the first k entries of a field, and zeros into the others."""
+    padded = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
+    padded[: len(values)] = values
+    field.from_numpy(padded)
+
+
 def components(field: Any) -> list[Any]:
     """Scalar fields of the components of a field, row by row."""
     if not hasattr(field, "n"):

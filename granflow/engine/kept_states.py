@@ -50,11 +50,7 @@ def return_state(state: State) -> None:
 
 
 def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.WeakSet[State]") -> list[State]:
-    return [
-        state
-        for state in states
-        if structure_of(state.plan) == structure and fits_lists(state.capacities, plan.capacities)
-    ]
+    return [state for state in states if state.structure == structure and fits_lists(state.capacities, plan.capacities)]
 
 
 def _free_excess() -> None:

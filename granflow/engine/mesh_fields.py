@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.field_block import write_padded
 from granflow.geometry.mesh.adjacency import MeshAdjacency
-from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
 
@@ -20,10 +20,7 @@ def fill_mesh(fields: Any, plan: Plan) -> None:
     arrays = _of_triangles([mesh.adjacency for mesh in meshes.values()]) | _of_grids(plan)
     arrays["wall"] = np.repeat(list(meshes), [mesh.triangle_count for mesh in meshes.values()])
     for name, values in arrays.items():
-        field = getattr(fields, name)
-        padded = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
-        padded[: len(values)] = values
-        field.from_numpy(padded)
+        write_padded(getattr(fields, name), values)
 
 
 def _of_triangles(adjacency: list[MeshAdjacency]) -> dict[str, np.ndarray]:

@@ -49,12 +49,11 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     if reached < pair.overlap:
         alone = f"An impact at {pair.impact_velocity:.3g} m/s alone reaches {reached:.3g} of the radius"
         return f"{alone}, other particles or walls press as well: {_static(touching, plan, pair)}"
-    return _impact(touching, plan, pair.impact_velocity)
+    return _impact(touching, plan, pair.impact_velocity, reached)
 
 
-def _impact(touching: TouchingPair, plan: Plan, velocity: float) -> str:
-    """Cause and remedy of an impact at `velocity` [m/s]."""
-    largest = impact_overlap(plan.laws, touching, velocity)
+def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float) -> str:
+    """Cause and remedy of an impact at `velocity` [m/s], which reaches the overlap over radius `largest`."""
     remedy = _moduli(touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest)
     cause = f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the radius"
     if velocity <= TOLERANCE * plan.velocity_max:

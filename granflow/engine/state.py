@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
-from granflow.engine.field_block import FieldBlock, Fields, components
+from granflow.engine.field_block import FieldBlock, Fields, components, write_padded
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
@@ -20,6 +20,7 @@ from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
 from granflow.plan.plan import Plan
+from granflow.plan.structure import structure_of
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
@@ -175,19 +176,16 @@ class Control(Fields):
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""
-        dtype = ti.lang.util.to_numpy_type(self.pair_constants.dtype)
-        rows, columns = plan.pair_constants.shape
-        padded = np.zeros((self.pair_constants.shape[0], columns), dtype)
-        padded[:rows] = plan.pair_constants
-        self.pair_constants.from_numpy(padded)
+        write_padded(self.pair_constants, plan.pair_constants)
         if plan.law_parameters:
-            self.law_parameters.from_numpy(np.array([plan.law_parameters], dtype))
+            write_padded(self.law_parameters, np.array([plan.law_parameters]))
         self.abort_particle[0] = NO_PARTICLE
 
 
 class State:
     """All device data of one plan.
 
+    structure:      what the kernels depend on, see `plan.structure`
     capacities:     lengths of the arrays; those of the plan unless the neighbor lists have grown
     parameters:     numbers of the plan
     count:          number of particles
@@ -201,6 +199,7 @@ class State:
     """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
+        self.structure = structure_of(plan)
         self.plan, self.backend = plan, backend
         self._built: dict[Any, Any] = {}
         self.capacities = plan.capacities
@@ -287,9 +286,7 @@ class State:
         self._allocate()
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
-            padded = np.zeros((field.shape[0], *values.shape[1:]), values.dtype)
-            padded[: len(values)] = values
-            field.from_numpy(padded)
+            write_padded(field, values)
         self.parameters.write(self.plan, capacities)
 
     def free(self) -> None:

@@ -1,7 +1,6 @@
 """Forecasts: overlaps of impacts and static pressures, walls and regions at wrong places, servos that reach nothing."""
 
 from math import log, pi, sqrt
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ from plan.scenes import TEXT, scene_of
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import load_scene
+from granflow.cli.examples import scene_paths
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.forecast.advice import required_moduli
@@ -16,11 +16,7 @@ from granflow.plan.forecast.contact import impact_overlap
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
 
-SCENES = [
-    path
-    for path in sorted((Path(__file__).parents[2] / "scenes").rglob("*.yaml"))
-    if path.parent.name not in ("sweeps", "calibration")
-]
+SCENES = list(scene_paths().values())
 RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
 FLOOR = plane([0, 0, 0], [0, 0, 1], "rubber")
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from granflow import Simulation, load_scene
+from granflow.cli.examples import scene_paths
 
 SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
@@ -174,9 +175,7 @@ def test_large_scenes_satisfy_their_expectations(name, tmp_path, taichi_f64):
 
 
 def test_every_scene_has_a_description_and_expectations():
-    for path in SCENES.rglob("*.yaml"):
-        if path.parent.name in ("sweeps", "calibration"):
-            continue
+    for path in scene_paths().values():
         scene = load_scene(path)
         assert scene.description, path
         assert scene.expect, path

@@ -11,19 +11,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from studies.sweep_files import write_sweep
+from studies.sweep_files import SWEEP, write_sweep
 
 from granflow.studies.run_processes import process
 from granflow.studies.run_processes.executors import Workers
 from granflow.studies.sweep.run import read_sweep, run_sweep
 
-TWELVE = """\
-scene: spheres.yaml
-vary:
-  pairs.steel-steel.restitution: [0.5, 0.9, 1.2]
-  pairs.steel-steel.friction: {from: 0.1, to: 0.4, count: 4}
-read: [kinetic_energy, rotational_energy]
-"""
 STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"] + ["refused"] * 4
 
 
@@ -35,7 +28,7 @@ def stand_in(monkeypatch):
 @pytest.fixture
 def sweep(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return read_sweep(write_sweep(tmp_path, TWELVE).name)
+    return read_sweep(write_sweep(tmp_path, SWEEP).name)
 
 
 def rows(out):

@@ -8,6 +8,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from docsite.markdown import code, table
+from granflow.cli.examples import scene_paths
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES, PICTURES = ROOT / "scenes", ROOT / "docs" / "pages" / "gallery"
@@ -36,8 +37,7 @@ def page() -> str:
 
 def names() -> list[str]:
     """Names of the shipped scenes, without sweeps and calibrations: paths relative to scenes/ without suffix."""
-    paths = [path.relative_to(SCENES) for path in SCENES.rglob("*.yaml")]
-    return sorted(path.with_suffix("").as_posix() for path in paths if path.parts[0] not in ("sweeps", "calibration"))
+    return sorted(scene_paths())
 
 
 def picture_of(name: str) -> Path:
