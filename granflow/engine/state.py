@@ -284,6 +284,7 @@ class State:
         self.free()
         self.capacities = capacities
         self._allocate()
+        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
             write_padded(field, values)
