@@ -185,7 +185,7 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
     impact_velocity = float(np.hypot(approach, np.sqrt(0.8 * stiffness / mass_eff) * (overlap * smaller) ** 1.25))
     material_solid = plan.solids[first.material]
     pair_case = PairCase(
-        "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
+        "", material, radius_eff, mass_eff, radius, smaller, material_solid, _contact_count(candidates, owner, partner)
     )
     stable = stable_step(pair_case, plan.law, impact_velocity)
     return ContactPair(

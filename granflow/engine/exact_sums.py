@@ -27,6 +27,16 @@ def to_units(value):
     return ti.cast(value, ti.i64)
 
 
+@ti.func
+def energy_words(value):
+    """Low and high word of an energy, each rounded toward zero.
+
+    value:  energy in units of the high word, i.e. in 2^CARRY_BITS units of an energy
+    """
+    high = to_units(value)
+    return to_units((value - high) * 2.0**CARRY_BITS), high
+
+
 def build_to_grid(real: Any) -> Any:
     """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite arguments.
 

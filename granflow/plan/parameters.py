@@ -9,7 +9,7 @@ from granflow.fields import DeviceType
 from granflow.plan.capacities import Capacities
 from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.plan import Plan
-from granflow.plan.sum_units import TORQUE
+from granflow.plan.sum_units import CARRY_BITS, ENERGY, TORQUE
 from granflow.plan.wall_control import ControlledMotion
 
 
@@ -84,11 +84,15 @@ def _lengths(plan: Plan) -> dict[str, float]:
 def _of_sums(plan: Plan) -> Iterator[Parameter]:
     """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their units.
 
+    For energies, the reciprocal unit of the high word.
+
     A number is rounded to multiples of a unit by adding 3/2 unit / eps, see `engine.exact_sums.build_to_grid`.
     """
     units = np.array(astuple(plan.sum_units))
     eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
-    yield _vector("per_unit", "real", 1.0 / units)
+    per_unit = 1.0 / units
+    per_unit[ENERGY] /= 2.0**CARRY_BITS
+    yield _vector("per_unit", "real", per_unit)
     yield _vector("shift", "real", 1.5 * units[: TORQUE + 1] / eps)
 
 

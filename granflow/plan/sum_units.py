@@ -3,9 +3,10 @@
 A contact rounds its force, torque, energy, ... to a multiple of a unit before it adds it. The bits of a run then depend
 neither on the order of the neighbor lists nor on skin, rebuilds, chunk size or number of threads.
 
-The largest force of a contact within the overlap limit L of a sphere of the largest radius R, with the overlap d = L R:
+The largest force of a contact within the overlap limit L, with R the largest radius that the smaller of two particles
+in contact can have, and the overlap d = L R:
 
-    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all pairs of materials
+    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur
 
 with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned velocity v. With
 F rounded up to a power of two, the unit of a force is F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also
@@ -21,8 +22,11 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.plan.time_step import PairCase
 
-FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 47, 47, 43
-"""Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added."""
+FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 47, 43
+"""Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
+
+An energy is added in two words, so that the contacts of small particles count in the presence of very large ones.
+"""
 
 SUM_BITS = 50
 """Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents exactly in
@@ -72,25 +76,25 @@ def sum_units(
 ) -> SumUnits:
     """Units of a scene.
 
-    pair_cases:   possible contacts
+    pair_cases:   contacts that can occur, and those that only limit the time step
     velocity:     maximum expected impact velocity [m/s]
     max_overlap:  overlap limit over the radius
     radius:       largest radius [m]
     time_step:    longest time step [s]
     size:         largest distance [m] of a particle from the pivot of a wall
     """
-    overlap = max_overlap * radius
-    force = 0.0
-    for case in pair_cases:
-        arguments = (case.pair, case.radius_eff, case.mass_eff, velocity)
-        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(radius) * overlap**1.5
-        force = max(force, hertz, law.loading_stiffness(*arguments) * overlap + law.viscosity(*arguments) * velocity)
+    force, energy = 0.0, 0.0
+    for case in [case for case in pair_cases if case.pair_key] or pair_cases:
+        overlap, arguments = max_overlap * case.largest_radius, (case.pair, case.radius_eff, case.mass_eff, velocity)
+        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
+        spring = law.loading_stiffness(*arguments) * overlap + law.viscosity(*arguments) * velocity
+        force, energy = max(force, hertz, spring), max(energy, max(hertz, spring) * overlap)
     force_scale, radius_scale = _power_of_two(force), _power_of_two(radius)
     impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS
     return SumUnits(
         force=force_scale / 2.0**FORCE_BITS,
         torque=force_scale * radius_scale / 2.0**FORCE_BITS,
-        energy=force_scale * _power_of_two(overlap) / 2.0**ENERGY_BITS,
+        energy=_power_of_two(energy) / 2.0**ENERGY_BITS,
         impulse=impulse,
         angular_impulse=impulse * _power_of_two(size),
         wall_force=force_scale / 2.0**WALL_BITS,

@@ -12,7 +12,7 @@ from granflow.engine.exact_sums import (
     build_set_forces,
     build_to_grid,
     carried,
-    to_units,
+    energy_words,
 )
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
@@ -175,7 +175,7 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
     control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
     per_unit = state.parameter("per_unit")
-    measured = with_wall and features.wall_forces
+    measured, loss_count = with_wall and features.wall_forces, len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
@@ -184,8 +184,12 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     def add_losses(chunk, shares, found, work):
         losses, per_joule = control.losses[chunk], per_unit()[ENERGY]
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            losses[loss] += shares * to_units(per_joule * found.losses[k])
-        losses[WALL_WORK] += shares * to_units(per_joule * work)
+            low, high = energy_words(per_joule * found.losses[k])
+            losses[loss] += shares * low
+            losses[loss + loss_count] += shares * high
+        low_work, high_work = energy_words(per_joule * work)
+        losses[WALL_WORK] += shares * low_work
+        losses[WALL_WORK + loss_count] += shares * high_work
         control.losses[chunk] = losses
 
     @ti.func

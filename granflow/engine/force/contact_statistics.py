@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.exact_sums import SHARES, build_list_shares, to_units
+from granflow.engine.exact_sums import SHARES, build_list_shares, carried, energy_words, exact_totals, to_units
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
@@ -12,9 +12,12 @@ from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import ENERGY
 
-SUMS = ("contact_count", "overlap_sum", "elastic_energy", "plastic_dissipation")
-"""Sums over contacts: count, overlap over the smaller radius, energies [J]."""
-COUNT, OVERLAP, ELASTIC, PLASTIC = range(len(SUMS))
+SUMS = ("contact_count", "overlap_sum")
+"""Sums over contacts: count, overlap over the smaller radius."""
+COUNT, OVERLAP = range(len(SUMS))
+
+ENERGIES = ("elastic_energy", "plastic_dissipation")
+"""Sums of energies [J] over contacts."""
 
 OVERLAP_UNIT = 2.0**-48
 """Unit of the sum of relative overlaps: a chunk can have 2^15 contacts."""
@@ -27,32 +30,35 @@ class ContactStatistics:
         self.state = state
         self.block, chunks = FieldBlock(), state.plan.capacities.chunks
         self.sums = self.block.vector(ti.i64, chunks, count=len(SUMS))
+        self.energies = self.block.vector(ti.i64, chunks, count=2 * len(ENERGIES))
         self.largest = self.block.scalar(state.backend.real, chunks)
         self.block.finish()
-        self._measure = _build_measure(state, self.sums, self.largest)
+        self._measure = _build_measure(state, self.sums, self.energies, self.largest)
 
     def measure(self, pose: int) -> dict[str, float]:
         """Statistics of all contacts; fills both contact counts.
 
         pose:  index of the wall poses at the present time, see `Stepper.place_walls`
 
-        Returns SUMS and `overlap_largest`, the maximum of the overlap over the smaller radius.
+        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """
         state = self.state
         if not state.count:
-            return dict.fromkeys((*SUMS, "overlap_largest"), 0.0)
+            return dict.fromkeys((*SUMS, *ENERGIES, "overlap_largest"), 0.0)
         self._measure(state.chunk_count, state.count, pose, state.clock.time_step)
-        energy = state.plan.sum_units.energy
-        totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT, energy, energy]
+        totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT]
+        unit = state.plan.sum_units.energy / SHARES
+        energies = exact_totals(self.energies.to_numpy()[: state.chunk_count], unit)
         largest = float(self.largest.to_numpy()[: state.chunk_count].max())
-        return dict(zip(SUMS, totals.tolist(), strict=True)) | {"overlap_largest": largest}
+        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (*totals.tolist(), *energies.tolist(), largest)
+        return dict(zip(names, values, strict=True))
 
 
-def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]:
-    """Kernel (chunks, count, pose, time_step): exact sums and the largest relative overlap of each chunk.
+def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
+    """Kernel (chunks, count, pose, time_step): exact sums, energies and the largest relative overlap of each chunk.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, wall_contact_count, sums, largest
+    Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
     particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
     real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), len(SUMS)
@@ -70,6 +76,7 @@ def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]
             if task % stride == 0:
                 chunk = task // stride
                 found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
+                low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
                 per_joule, size = per_unit()[ENERGY], chunk_size()
                 for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
@@ -78,8 +85,10 @@ def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]
                         shares = list_shares(chunk, j)
                         if in_range(i, j, contact.overlap):
                             elastic, plastic = energies(list_index, pair_constants(i, j), contact)
-                            found[ELASTIC] += shares * to_units(per_joule * elastic)
-                            found[PLASTIC] += shares * to_units(per_joule * plastic)
+                            elastic_low, elastic_high = energy_words(per_joule * elastic)
+                            plastic_low, plastic_high = energy_words(per_joule * plastic)
+                            low += shares * ti.Vector([elastic_low, plastic_low])
+                            high += shares * ti.Vector([elastic_high, plastic_high])
                         if contact.overlap > 0.0:
                             radius_min = particles.radius[i]
                             if j >= 0:
@@ -95,6 +104,7 @@ def _build_measure(state: State, sums: Any, largest: Any) -> Callable[..., None]
                             elif ti.static(has_walls):
                                 particles.wall_contact_count[i] += 1
                 sums[chunk], largest[chunk] = found, overlap_largest
+                energy_sums[chunk] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
 
     return measure
 

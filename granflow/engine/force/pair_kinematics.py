@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.exact_sums import build_list_shares, to_units
+from granflow.engine.exact_sums import build_list_shares, energy_words
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
 from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
@@ -171,8 +171,9 @@ def build_boundary_work(state: State) -> Any:
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        work = to_units(per_unit()[ENERGY] * dt * force.dot(image_velocity(i, j, pose)))
-        control.boundary_work[chunk][0] = control.boundary_work[chunk][0] + list_shares(chunk, j) * work
+        low, high = energy_words(per_unit()[ENERGY] * dt * force.dot(image_velocity(i, j, pose)))
+        work = list_shares(chunk, j) * ti.Vector([low, high])
+        control.boundary_work[chunk] = control.boundary_work[chunk] + work
 
     return add_boundary_work
 

@@ -7,7 +7,7 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-from granflow.engine.exact_sums import build_list_shares, build_to_grid, to_units
+from granflow.engine.exact_sums import build_list_shares, build_to_grid, energy_words
 from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
@@ -34,7 +34,7 @@ from granflow.engine.neighbor.contact_history import build_add_plastic_loss, bui
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import BATCH, LANES, State
 from granflow.kernel_language import ti
-from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
+from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING
 from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
 
@@ -392,7 +392,7 @@ def _build_scatter(state: State) -> Any:
     plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
     list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
-    add_to_sums = _build_add_to_sums(state)
+    add_to_sums, loss_count = _build_add_to_sums(state), len(LOSSES)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -410,8 +410,10 @@ def _build_scatter(state: State) -> Any:
     def add_losses(worker, chunk, j, entry):
         shares = list_shares(chunk, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            added = shares * to_units(batch.losses[k][worker, entry])
-            control.losses[chunk][loss] = control.losses[chunk][loss] + added
+            low, high = energy_words(batch.losses[k][worker, entry])
+            control.losses[chunk][loss] = control.losses[chunk][loss] + shares * low
+            high_word = ti.static(loss + loss_count)  # an index that is not static crashes the kernel compiler
+            control.losses[chunk][high_word] = control.losses[chunk][high_word] + shares * high
 
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):
