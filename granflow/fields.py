@@ -17,7 +17,7 @@ Kind = Literal["scalar", "vector", "tensor"]
 """Number of components: 1, 3 or 9."""
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 """Data types of arrays in VTU files."""
-DeviceType = Literal["position", "real", "f64", "i32"]
+DeviceType = Literal["position", "real", "f64", "i32", "i64"]
 """Types on the device: "position" is f64, in precision f32 f32; "real" is f64 in precision f64, else f32."""
 
 
@@ -108,7 +108,7 @@ _PARTICLE_FIELDS = {
     field.name: field
     for field in (
         FieldSpec(
-            "position", "x", "m", "center of the sphere, not wrapped between rebuilds", "vector", "float64",
+            "position", "x", "m", "center of the sphere", "vector", "float64",
             dtype="position", block="motion", displayed=False,
         ),
         FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),
@@ -135,7 +135,11 @@ _PARTICLE_FIELDS = {
         ),
         FieldSpec(
             "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
-            in_snapshot=False, dtype="position", sorted=False, displayed=False,
+            in_snapshot=False, dtype="position", block="rebuild", sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "reach", "", "m", "displacement since the last neighbor-list rebuild that makes the next one due",
+            in_snapshot=False, dtype="position", block="rebuild", displayed=False,
         ),
         FieldSpec("id", "i", "1", "number of the particle, unique in a run", file_type="int64", dtype="i32"),
         FieldSpec(

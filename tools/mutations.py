@@ -159,7 +159,11 @@ MUTATIONS = (
     ),
     # Energy
     Mutation(
-        "kinetic energy", "granflow/engine/accounting.py", "kinetic = 0.5 * float", "kinetic = 1.0 * float", (ENERGY,)
+        "kinetic energy",
+        "granflow/engine/accounting.py",
+        "kinetic = 0.5 * exact_sum",
+        "kinetic = 1.0 * exact_sum",
+        (ENERGY,),
     ),
     Mutation(
         "moment of inertia", "granflow/engine/accounting.py", "inertia = 0.4 * mass", "inertia = 0.5 * mass", (ENERGY,)
@@ -189,8 +193,8 @@ MUTATIONS = (
     Mutation(
         "overlap limit, batched",
         "granflow/engine/force/simd_pair_force.py",
-        "distance_limit = reach - overlap_limit",
-        "distance_limit = reach - 4.0 * overlap_limit",
+        "check_overlap(i, square, reach, overlap_ratio * radius_min)",
+        "check_overlap(i, square, reach, 4.0 * overlap_ratio * radius_min)",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
@@ -209,9 +213,9 @@ MUTATIONS = (
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/plan/parameters.py",
-        '"rebuild_limit_squared": (0.5 * plan.skin) ** 2',
-        '"rebuild_limit_squared": plan.skin ** 2',
+        "granflow/engine/neighbor/cell_sort.py",
+        "reach = ti.min(0.5 * rebuild.skin",
+        "reach = ti.min(1.0 * rebuild.skin",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),
     ),
     Mutation(
@@ -275,8 +279,8 @@ MUTATIONS = (
     Mutation(
         "minimum image at the lower side",
         "granflow/engine/periodic_box.py",
-        "ti.select(branch[axis] < -half, width",
-        "ti.select(branch[axis] < -width, width",
+        "ti.select(branch[axis] < -half, widths[axis]",
+        "ti.select(branch[axis] < -widths[axis], widths[axis]",
         (f"{PERIODIC}test_neighbor_list_holds_exactly_the_candidate_pairs_of_minimum_images",),
     ),
     Mutation(

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.exact_sums import exact_sum
 from granflow.engine.frozen_masks import mobility_mask
 
 
@@ -53,13 +54,13 @@ class Accounting:
         """
         kinetic, rotational, potential = mechanical_energy(arrays, gravity)
         self.deleted_count += len(arrays["mass"])
-        self.deleted_mass += float(arrays["mass"].sum(dtype=float))
+        self.deleted_mass += exact_sum(arrays["mass"])
         self.removed_energy += kinetic + rotational + potential
         self.removed_kinetic_energy += kinetic + rotational
         for index, sums in enumerate(self.outlets.values()):
             by_outlet = outlet_index == index
             sums[0] += float(by_outlet.sum())
-            sums[1] += float(arrays["mass"][by_outlet].sum(dtype=float))
+            sums[1] += exact_sum(arrays["mass"][by_outlet])
 
     def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
         """`material` or `group` numbers (n,) of the scene for particle ids (n,)."""
@@ -88,19 +89,27 @@ SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.typ
 def mechanical_energy(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
     """Kinetic, rotational and gravitational energy [J] of the particles; a fixed particle contributes none.
 
-        m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        summed in float64
+        m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        the same for any order of the particles
 
     arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
               angular_velocity (n, 3) [rad/s]
     gravity:  (3,) [m/s2]
     """
     mass = arrays["mass"].astype(float) * mobility_mask(arrays)
-    kinetic = 0.5 * float(mass @ np.sum(arrays["velocity"].astype(float) ** 2, axis=1))
+    kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]))
     rotational = 0.0
     if "angular_velocity" in arrays:
         inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
-        rotational = 0.5 * float(inertia @ np.sum(arrays["angular_velocity"].astype(float) ** 2, axis=1))
-    return kinetic, rotational, -float(mass @ (arrays["position"] @ gravity))
+        rotational = 0.5 * exact_sum(inertia * _squares(arrays["angular_velocity"]))
+    x, y, z = arrays["position"].astype(float).T
+    return kinetic, rotational, -exact_sum(mass * (x * gravity[0] + y * gravity[1] + z * gravity[2]))
+
+
+def _squares(vectors: np.ndarray) -> np.ndarray:
+    """Squared length (n,) of each of the vectors (n, 3)."""
+    x, y, z = vectors.astype(float).T
+    squares: np.ndarray = x * x + y * y + z * z
+    return squares
 
 
 def energy_input(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:

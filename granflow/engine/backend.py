@@ -50,7 +50,7 @@ class Backend:
     @property
     def types(self) -> dict[str, Any]:
         """Taichi types by the names of `granflow.fields.DeviceType`."""
-        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32}
+        return {"position": self.position_real, "real": self.real, "f64": ti.f64, "i32": ti.i32, "i64": ti.i64}
 
     @property
     def on_cpu(self) -> bool:

@@ -1,7 +1,7 @@
 """Saves and restores the device state that determines how a run continues, bit for bit.
 
-The state holds the particles in their present order with velocities half a step behind, the neighbor lists with the
-order of their entries (it is the order of the sums), the contact histories and the totals of the energy budget.
+The state holds the particles in their present order with velocities half a step behind, the neighbor lists, the contact
+histories and the sums of the energy budget.
 Saving rebuilds and evaluates nothing, so that a checkpoint does not influence the run. Capacities are not saved: a
 neighbor list that is longer than the first estimate increases the capacity.
 """

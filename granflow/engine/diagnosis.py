@@ -11,6 +11,7 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import copy_to_host
 from granflow.engine.limits import (
     ABORT_DISPLACEMENT,
+    ABORT_FORCE,
     ABORT_NOT_FINITE,
     ABORT_OVERLAP,
     ABORT_REASONS,
@@ -66,7 +67,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
         return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken)
     arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
-    if code == ABORT_OVERLAP and step_taken:
+    if code in (ABORT_OVERLAP, ABORT_FORCE) and step_taken:
         # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
@@ -76,7 +77,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     body = _body(state.plan, arrays, index)
     candidates = _candidate_pairs(code, state, arrays, time)
     involved = (candidates.owner == index) | (candidates.partner == index)
-    considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT) else np.ones_like(involved)
+    considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE) else np.ones_like(involved)
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
     return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken)
@@ -184,7 +185,7 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
     impact_velocity = float(np.hypot(approach, np.sqrt(0.8 * stiffness / mass_eff) * (overlap * smaller) ** 1.25))
     material_solid = plan.solids[first.material]
     pair_case = PairCase(
-        "", material, radius_eff, mass_eff, radius, material_solid, _contact_count(candidates, owner, partner)
+        "", material, radius_eff, mass_eff, radius, smaller, material_solid, _contact_count(candidates, owner, partner)
     )
     stable = stable_step(pair_case, plan.law, impact_velocity)
     return ContactPair(

@@ -13,22 +13,25 @@ from typing import Any
 
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
+from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
 
 def build_integrate(state: State) -> Any:
-    """Device function (chunk, count, time_step): kick and drift the particles of one chunk.
+    """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
-    Requests a rebuild if a particle has moved by more than half the skin since the last one; aborts if a position is
+    Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position is
     not finite or a displacement in one step exceeds `plan.travel_limit`.
 
-    Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle
+    Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle; in
+             a periodic box as `build_wrap`
     """
     particles, control, features = state.particles, state.control, state.plan.features
     mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
-    rebuild_limit, step_limit = state.parameter("rebuild_limit_squared"), state.parameter("travel_limit_squared")
+    step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
+    wrap = build_wrap(state) if periodic else None
 
     @ti.func
     def request_abort(code, i):
@@ -36,8 +39,8 @@ def build_integrate(state: State) -> Any:
         ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
-    def integrate(chunk, count, dt):
-        rebuild, size, rebuild_above, abort_above = 0, chunk_size(), rebuild_limit(), step_limit()
+    def integrate(chunk, count, pose, dt):
+        rebuild, size, abort_above = 0, chunk_size(), step_limit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
             kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
             velocity = particles.velocity[i] + kick
@@ -56,10 +59,13 @@ def build_integrate(state: State) -> Any:
                 )
             displacement = position - particles.position_at_rebuild[i]
             displacement_squared = displacement.dot(displacement)
-            if displacement_squared > rebuild_above:
+            reach_squared = particles.reach[i] * particles.reach[i]
+            if displacement_squared > reach_squared:
                 rebuild = 1
-            elif not displacement_squared <= rebuild_above:  # NaN fails both comparisons
+            elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
                 request_abort(ABORT_NOT_FINITE, i)
+            if ti.static(periodic):
+                wrap(chunk, i, pose, dt)
             # Above this limit a particle could pass another one, or a wall, between two force evaluations.
             if step_displacement.dot(step_displacement) > abort_above:
                 request_abort(ABORT_DISPLACEMENT, i)

@@ -9,12 +9,14 @@ from granflow.plan.plan import Plan
 from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
 
-ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = 1, 2, 3, 4, 5, 6
-"""Codes: a displacement per step above the limit, a position that is not finite, an overlap above the limit, a particle
-outside a domain with `on_exit: error` (set by the host), a force-controlled wall above its displacement limit, and a
-particle so far from the origin that the precision does not resolve its position (set by the host)."""
+ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = range(1, 8)
+"""Codes: a contact force above the range of the sums, a displacement per step above the limit, a position that is not
+finite, an overlap above the limit, a particle outside a domain with `on_exit: error` (set by the host), a
+force-controlled wall above its displacement limit, and a particle so far from the origin that the precision does not
+resolve its position (set by the host)."""
 
 ABORT_REASONS = {
+    ABORT_FORCE: "force",
     ABORT_DISPLACEMENT: "displacement",
     ABORT_NOT_FINITE: "not_finite",
     ABORT_OVERLAP: "overlap",
@@ -72,6 +74,20 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
     return f"{description} {overlap_cause(pair, plan)}"
+
+
+def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Contact force above the range of the sums."""
+    description = (
+        f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} N, more "
+        f"than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
+    )
+    if diagnosis.pair is None:
+        return _advice(diagnosis.time_step, f"{description} Likely cause: a velocity far above run.velocity_max")
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: a viscous or cohesive force far above the elastic force"
+    )
+    return f"{description} {_relative_motion(diagnosis.pair)} {cause}"
 
 
 def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -179,6 +195,7 @@ def _advice(time_step: float, cause: str) -> str:
 
 
 _REASONS = {
+    "force": _force,
     "displacement": _displacement,
     "not_finite": _not_finite,
     "overlap": _overlap,

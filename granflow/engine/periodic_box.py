@@ -1,18 +1,21 @@
 """Periodic box: minimum image, wrapping and image velocity.
 
-Positions are wrapped into the box at neighbor-list rebuilds only; between rebuilds they may be outside by less than
-the skin. In a sheared box (Lees-Edwards) the image above moves with an offset and a velocity, and the image below
-with the opposite ones; both are stored by pose, as wall positions are.
+Positions are wrapped into the box in the step in which they leave it: the rounding of a coordinate depends on its size,
+so that wrapping at rebuilds would make the bits depend on the rebuilds. In a sheared box (Lees-Edwards) the image above
+moves with an offset and a velocity, and the image below with the opposite ones; both are stored by pose, as wall
+positions are.
 """
 
 from typing import Any
 
 import numpy as np
 
+from granflow.engine.exact_sums import SHARES, energy_words
 from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.sum_units import ENERGY
 
 
 def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
@@ -27,8 +30,7 @@ def _lees_edwards_axes(periodic_box: PeriodicBox) -> tuple[int, int]:
 def build_image_index(state: State) -> Any:
     """Device function (one, other): 1 if the image of `other` above is nearest to `one`, -1 if that below, else 0.
 
-    Above and below refer to the gradient axis of a sheared box. Points are in m and may be outside the box by less than
-    the skin.
+    Above and below refer to the gradient axis of a sheared box. Points are in m, inside the box.
     """
     _, gradient = _lees_edwards_axes(state.plan.periodic_box)
     width = state.parameter("box_width")
@@ -62,7 +64,7 @@ def build_minimum_image(state: State) -> Any:
             branch[flow] = branch[flow] - widths[flow] * ti.round(branch[flow] / widths[flow])
         for axis in ti.static([axis for axis in periodic_box.axes if not sheared or axis != flow]):
             half = 0.5 * widths[axis]
-            # One width suffices: between rebuilds positions are outside the box by less than the skin.
+            # One width suffices, because positions are inside the box.
             above = ti.select(branch[axis] > half, widths[axis], 0.0 * widths[axis])
             below = ti.select(branch[axis] < -half, widths[axis], 0.0 * widths[axis])
             branch[axis] = branch[axis] - above + below
@@ -136,24 +138,60 @@ def build_wrap_position(state: State) -> Any:
 
 
 def build_wrap(state: State) -> Any:
-    """Kernel (chunks, count, pose, time_step): wrap all particles into the box.
-
-    The energy that they gain counts as boundary work:
+    """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary work.
 
         W = -m g . (x' - x) + m (v'^2 - v^2) / 2        at the time of the positions
 
     Reads:   position, velocity, mass, force, image_offset, image_speed
-    Writes:  position, velocity, velocity_synchronized, boundary_work
+    Writes:  position, position_at_rebuild, velocity, velocity_synchronized, boundary_work
     """
-    plan, particles, real = state.plan, state.particles, state.backend.real
-    boundary_work: Any = state.control.boundary_work
-    wrap_position, stride, chunk_size = build_wrap_position(state), state.stride, state.parameter("chunk_size")
-    gravity, sheared = state.parameter("gravity"), plan.periodic_box.image_motion is not None
+    plan, particles, axes = state.plan, state.particles, state.plan.periodic_box.axes
+    wrap_position, sheared = build_wrap_position(state), plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
+    add_energy_gain = _build_add_energy_gain(state)
+    low, width = state.parameter("domain_low"), state.parameter("box_width")
+
+    @ti.func
+    def is_outside(point):
+        outside, lows, widths = False, low(), width()
+        for axis in ti.static(axes):
+            outside = outside or ti.floor((point[axis] - lows[axis]) / widths[axis]) != 0.0
+        return outside
+
+    @ti.func
+    def wrap(chunk, i, pose, dt):
+        before = particles.position[i]
+        if is_outside(before):
+            velocity_shift = 0.0 * particles.velocity[i]
+            wrapped = before
+            if ti.static(sheared):
+                wrapped, velocity_shift = cross_boundary(before, pose)
+            wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
+            particles.position[i] = wrapped
+            particles.position_at_rebuild[i] = particles.position_at_rebuild[i] + (wrapped - before)
+            if ti.static(plan.features.energy_budget):
+                add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
+            if ti.static(sheared):
+                particles.velocity[i] = particles.velocity[i] - velocity_shift
+                if ti.static(plan.features.rate_dependent):
+                    particles.velocity_synchronized[i] = particles.velocity_synchronized[i] - velocity_shift
+
+    return wrap
+
+
+def _build_add_energy_gain(state: State) -> Any:
+    """Device function (chunk, i, shift [m], decrease of the velocity [m/s], time_step): add the energy gain.
+
+    The gain of potential energy, and of kinetic energy at the time of the positions.
+
+    Reads:   velocity, mass, force
+    Writes:  boundary_work
+    """
+    particles, control, sheared = state.particles, state.control, state.plan.periodic_box.image_motion is not None
+    gravity, per_unit = state.parameter("gravity"), state.parameter("per_unit")
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
-        """Add the gain of potential energy, and of kinetic energy at the time of the positions."""
         mass = ti.cast(particles.mass[i], ti.f64)
         gained = -mass * gravity().dot(ti.cast(shift, ti.f64))
         if ti.static(sheared):
@@ -164,29 +202,10 @@ def build_wrap(state: State) -> Any:
             gained += mass * (
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
             )
-        boundary_work[chunk] = boundary_work[chunk] + gained
+        low, high = energy_words(ti.cast(per_unit()[ENERGY], ti.f64) * gained)
+        control.boundary_work[chunk] = control.boundary_work[chunk] + SHARES * ti.Vector([low, high])
 
-    @ti.kernel
-    def wrap(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk, size = task // stride, chunk_size()
-                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                    before = particles.position[i]
-                    velocity_shift = 0.0 * particles.velocity[i]
-                    wrapped = before
-                    if ti.static(sheared):
-                        wrapped, velocity_shift = cross_boundary(before, pose)
-                    wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
-                    particles.position[i] = wrapped
-                    if ti.static(plan.features.energy_budget):
-                        add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
-                    if ti.static(sheared):
-                        particles.velocity[i] = particles.velocity[i] - velocity_shift
-                        if ti.static(plan.features.rate_dependent):
-                            particles.velocity_synchronized[i] = particles.velocity_synchronized[i] - velocity_shift
-
-    return wrap
+    return add_energy_gain
 
 
 def _build_cross_boundary(state: State) -> Any:

@@ -54,11 +54,20 @@ class CellSort(Fields):
     class_order:  particles by class and cell, from `class_start` of a cell
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
-    low, high:    corners [m] of the bounding boxes of `build_bounds`
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them
+    reach_largest:     largest reach [m] of all particles
+    cell_count:        cells of each grid, and of all size classes
+    present:           number of particles that are not deleted
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
         super().__init__(block.arrays(cell_arrays(plan), backend))
+
+    def fill(self, plan: Plan) -> None:
+        """Write the radii of the size classes."""
+        radii = np.zeros(self.radius.shape[0], ti.lang.util.to_numpy_type(self.radius.dtype))
+        radii[: len(plan.size_classes)] = plan.size_classes
+        self.radius.from_numpy(radii)
 
 
 class NeighborList(Fields):
@@ -95,6 +104,7 @@ class PairBatch:
     """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
 
     longest_list:  largest number of candidate pairs of one particle for which a batch suffices
+    sums:          contact force and torque on each particle of the chunk of a worker
 
     The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
     """
@@ -120,6 +130,9 @@ class PairBatch:
         self.history = {slot: columns(size) for slot, size in plan.history.items()}
         self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
         self.losses = columns(3 * features.energy_budget)
+        size = 6 if features.rotation else 3
+        workers = rounded_capacity(backend.worker_count, WORKERS)
+        self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
 
 
 class Control(Fields):
@@ -137,9 +150,9 @@ class Control(Fields):
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
-    losses:                     terms LOSSES of each chunk [J]
-    impulses:                   time integrals of the wall forces of each chunk
-    boundary_work:              work at periodic boundaries of each chunk [J]
+    losses:                     terms LOSSES of each chunk, see `exact_sums`
+    impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
+    boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
     image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
     """
 
@@ -209,6 +222,7 @@ class State:
         self.count = 0
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self.parameters.write(plan, self.capacities)
+        self.cell_sort.fill(plan)
         self.walls.fill(plan)
         if self.mesh is not None:
             fill_mesh(self.mesh, plan)
@@ -270,6 +284,7 @@ class State:
         self.free()
         self.capacities = capacities
         self._allocate()
+        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
         build()
         for field, values in zip(self._block.fields, saved, strict=True):
             write_padded(field, values)

@@ -41,7 +41,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     ):  # fmt: skip
         for chunk in range(moving * chunks):
             if control.rebuild_due[0] == 0 and control.abort[0] == 0:
-                integrate(chunk, count, dt)
+                integrate(chunk, count, pose + control.steps_done[0], dt)
         if ti.static(force_controlled):
             for _ in range(moving):
                 if control.rebuild_due[0] == 0 and control.abort[0] == 0:
@@ -104,15 +104,15 @@ class CpuSteps:
         """Steps of one worker, until the launch ends or the worker leaves it."""
         barrier_number, left = 0, 0
         while left == 0 and self.control.running[0] == 1:
+            pose_now = launch.pose + self.control.steps_done[0]
             if launch.moving == 1:
                 chunk = self._next_chunk()
                 while chunk < launch.chunks:
-                    self.integrate(chunk, launch.count, launch.dt)
+                    self.integrate(chunk, launch.count, pose_now, launch.dt)
                     chunk = self._next_chunk()
                 barrier_number += 1
                 left = self._barrier(launch, barrier_number, 0)
             if launch.forcing == 1 and left == 0 and self.control.running[0] == 1:
-                pose_now = launch.pose + self.control.steps_done[0]
                 chunk = self._next_chunk()
                 while chunk < launch.chunks:
                     self.forces(launch.worker, chunk, launch.count, pose_now, launch.dt)

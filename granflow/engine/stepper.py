@@ -111,7 +111,8 @@ class Stepper:
         `pose`: index of the wall poses at the time of the positions.
         """
         began, compiled = clock.perf_counter(), self.timing.compile
-        self._rebuild.run(pose)
+        self._prepare_workers()
+        self._rebuild.run(pose, self._workers.count)
         self.steps_since_rebuild = 0
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1
@@ -198,8 +199,9 @@ class Stepper:
         self._prepare_workers()
         if plan.has_poses:
             # Walls are not in the displacement check of the particles; their rebuild is due after a number of steps.
+            # It follows the integration of the next step, as all others: forces are not computed again for it.
             if self._steps_to_displacement_limit() < 1:
-                self.refresh(step)
+                state.control.rebuild_requested[0] = 1
             if self._pose == WALL_BATCH:
                 self._upload(step + 1)
                 self._pose = 0

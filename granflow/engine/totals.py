@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from granflow.engine.accounting import Accounting, energy_input
+from granflow.engine.exact_sums import SHARES, exact_totals
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
@@ -75,11 +76,12 @@ def energy_budget_totals(
     returned all of it. If E_in is below the rounding error of the potential energies, the rounding error is the scale,
     so that rounding does not count as an energy error.
     """
-    losses = dict(zip(LOSSES, state.control.losses.to_numpy().sum(axis=0).tolist(), strict=True))
+    unit = state.plan.sum_units.energy / SHARES
+    losses = dict(zip(LOSSES, exact_totals(state.control.losses.to_numpy(), unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
     boundary = state.control.boundary_work
-    boundary_work = {} if boundary is None else {"boundary_work": float(boundary.to_numpy().sum())}
+    boundary_work = {} if boundary is None else {"boundary_work": float(exact_totals(boundary.to_numpy(), unit)[0])}
     works = (losses["wall_work"], *boundary_work.values())
     dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
     present_energy = sum(energies) + measured["elastic_energy"]

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.exact_sums import to_units
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
 from granflow.kernel_language import ti
+from granflow.plan.sum_units import WALL_FORCE
 
 
 class MotionParameters:
@@ -44,19 +46,20 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 
     Writes:  wall_force
     """
-    motions, fields = _motions(state), state.wall_dynamics
+    motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit")
 
     @ti.func
     def clear_wall_forces(chunk):
         for r in ti.static(range(len(motions))):
-            fields.wall_force[chunk, r] = 0.0
+            fields.wall_force[chunk, r] = 0
 
     @ti.func
     def add_wall_force(chunk, w, force):
         for r in ti.static(range(len(motions))):
             if w == motions[r].wall():
                 force_along = ti.cast(force, ti.f64).dot(motions[r].direction())
-                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - force_along
+                in_units = to_units(ti.cast(per_unit()[WALL_FORCE], ti.f64) * force_along)
+                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
 
     return clear_wall_forces, add_wall_force
 
@@ -64,13 +67,12 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 def build_move_walls(state: State) -> Any:
     """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
 
-    Chunks are summed in order, so that the result does not depend on the number of threads.
-
     Reads:   wall_force, was_active, active
     Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
     motions, fields, control = _motions(state), state.wall_dynamics, state.control
     displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def check_displacements(r: ti.template(), dt):
@@ -85,9 +87,10 @@ def build_move_walls(state: State) -> Any:
     def move_walls(chunks, pose, dt_real):
         dt = ti.cast(dt_real, ti.f64)
         for r in ti.static(range(len(motions))):
-            force_on_wall, velocity = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+            force_sum, velocity = ti.cast(0, ti.i64), ti.cast(0.0, ti.f64)
             for chunk in range(chunks):
-                force_on_wall += fields.wall_force[chunk, r]
+                force_sum += fields.wall_force[chunk, r]
+            force_on_wall = ti.cast(force_sum, ti.f64) / ti.cast(per_unit()[WALL_FORCE], ti.f64)
             if fields.active[pose, r] == 1:
                 velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
                 _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
@@ -241,7 +244,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
     )
-    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0) * state.plan.sum_units.wall_force
     velocity = velocity_half.copy()
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]

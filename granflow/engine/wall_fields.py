@@ -60,7 +60,7 @@ class WallDynamicsFields(Fields):
     velocity:           [m/s], half a step behind
     active:             1 if the motion is active in the step that ends at a pose
     was_active:         1 if it was active in the previous step
-    wall_force:         force of the particles [N] along the direction, summed by each chunk
+    wall_force:         force of the particles along the direction, summed by each chunk, in units of `plan.sum_units`
     work_on_particles:  work on the particles [J]
     work:               work of all other forces on a free wall [J]
     """

@@ -15,8 +15,9 @@ MIN_SIZE_CLASSES, MIN_WALLS, MIN_PAIRS = 8, 8, 64
 MIN_TRIANGLES = 1024
 """Smallest capacity for triangles, edges, vertices and cells of meshes."""
 
-MIN_BATCH = 1024
-"""Smallest capacity of a batch of contacts: those of several particles, or of one with many neighbors."""
+MIN_BATCH, MIN_CHUNK_PARTICLES = 1024, 512
+"""Smallest capacities of a batch of contacts, those of several particles or of one with many neighbors, and of the
+force sums of a chunk."""
 
 WORKERS = 16
 """Number of CPU threads up to which all thread counts have the same arrays."""
@@ -39,11 +40,14 @@ HISTORY_SHARE = 0.8
 SPARE = 8
 """Entries per chunk in addition to a share, for chunks with few list entries."""
 
-BOUNDS = 1024
+BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
+
+REACH_STEPS = 40
+"""Number of steps at its velocity that a particle may move between rebuilds, in addition to half the skin."""
 
 WALL_BATCH = 256
 """Number of steps whose wall poses are uploaded together."""
@@ -89,6 +93,7 @@ class Capacities:
     class_cells:     cells of the grids of all size classes; 0 without size classes
     measured_walls:  walls with measured forces; 0 without
     batch:           contacts of one batch on a CPU
+    chunk_particles: particles of a chunk, whose force sums a CPU thread holds
     """
 
     particles: int
@@ -102,6 +107,7 @@ class Capacities:
     measured_walls: int
     pairs: int
     batch: int
+    chunk_particles: int
 
     @property
     def saved_entries(self) -> int:

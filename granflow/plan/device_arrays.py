@@ -39,8 +39,8 @@ class DeviceArray:
 
     def size(self, precision: Precision) -> int:
         """Allocated memory [bytes]."""
-        is_double = {"position": precision != "f32", "real": precision == "f64", "f64": True, "i32": False}
-        return (8 if is_double[self.dtype] else 4) * (self.width or 1) * prod(self.shape) * self.wanted
+        is_long = {"position": precision != "f32", "real": precision == "f64", "f64": True, "i32": False, "i64": True}
+        return (8 if is_long[self.dtype] else 4) * (self.width or 1) * prod(self.shape) * self.wanted
 
 
 def saved_arrays(arrays: Iterable[DeviceArray]) -> dict[str, DeviceArray]:
@@ -101,9 +101,13 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("class_order", "i32", count, wanted=by_class, per_particle=True),
         DeviceArray("class_start", "i32", (class_cells + 2,), wanted=by_class),
         DeviceArray("first_cell", "i32", classes, wanted=by_class),
-        DeviceArray("radius", "position", classes, wanted=by_class),
+        DeviceArray("radius", "position", classes),
         DeviceArray("low", "position", (BOUNDS,), 3),
         DeviceArray("high", "position", (BOUNDS,), 3),
+        DeviceArray("reach", "position", (BOUNDS,)),
+        DeviceArray("reach_largest", "position", (1,)),
+        DeviceArray("cell_count", "i32", (classes[0] + 1,)),
+        DeviceArray("present", "i32", (1,)),
     ]
 
 
@@ -115,19 +119,22 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
         *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
         DeviceArray("was_active", "i32", (count,), saved=True),
         DeviceArray("active", "i32", (WALL_BATCH, count)),
-        DeviceArray("wall_force", "f64", (plan.capacities.chunks, count), saved=True),
+        DeviceArray("wall_force", "i64", (plan.capacities.chunks, count), saved=True),
     ]
 
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
-    """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries; see `Control`."""
+    """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries; see `Control`.
+
+    Each term has two components, see `engine.exact_sums`.
+    """
     chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
     energy_budget = plan.features.energy_budget
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
-        DeviceArray("losses", "f64", (chunks,), len(LOSSES), wanted=energy_budget, saved=True),
-        DeviceArray("impulses", "f64", (chunks, measured), IMPULSE_SIZE, wanted=measured > 0, saved=True),
-        DeviceArray("boundary_work", "f64", (chunks,), wanted=has_image_work, saved=True),
+        DeviceArray("losses", "i64", (chunks,), 2 * len(LOSSES), wanted=energy_budget, saved=True),
+        DeviceArray("impulses", "i64", (chunks, measured), 2 * IMPULSE_SIZE, wanted=measured > 0, saved=True),
+        DeviceArray("boundary_work", "i64", (chunks,), 2, wanted=has_image_work, saved=True),
     ]
 
 

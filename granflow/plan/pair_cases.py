@@ -179,17 +179,20 @@ def pair_cases_of(scene: Scene) -> list[PairCase]:
 
 def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
-    radius, material_solid = 0.5 * diameter_range(group)[0], solid(scene, group.material)
-    mass = _sphere_mass(radius, material_solid.density)
+    smallest, largest = (0.5 * diameter for diameter in diameter_range(group))
+    material_solid = solid(scene, group.material)
+    mass = _sphere_mass(smallest, material_solid.density)
     if other is None:
-        return PairCase(name, pair, radius, mass, radius, material_solid)
+        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid)
+    other_smallest, other_largest = (0.5 * diameter for diameter in diameter_range(other))
+    largest = min(largest, other_largest)
     if other.fixed:
-        other_radius = 0.5 * diameter_range(other)[1]
-        return PairCase(name, pair, radius * other_radius / (radius + other_radius), mass, radius, material_solid)
-    other_radius = 0.5 * diameter_range(other)[0]
-    other_mass = _sphere_mass(other_radius, solid(scene, other.material).density)
-    radius_eff = radius * other_radius / (radius + other_radius)
-    return PairCase(name, pair, radius_eff, mass * other_mass / (mass + other_mass), radius, material_solid)
+        radius_eff = smallest * other_largest / (smallest + other_largest)
+        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid)
+    other_mass = _sphere_mass(other_smallest, solid(scene, other.material).density)
+    radius_eff = smallest * other_smallest / (smallest + other_smallest)
+    mass_eff = mass * other_mass / (mass + other_mass)
+    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid)
 
 
 def _sphere_mass(radius: float, density: float) -> float:

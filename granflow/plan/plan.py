@@ -18,6 +18,7 @@ from granflow.plan.capacities import (
     EXTRA_PER_PARTICLE,
     MIN_BATCH,
     MIN_CELLS,
+    MIN_CHUNK_PARTICLES,
     MIN_CHUNKS,
     MIN_LIST_ENTRIES,
     MIN_PAIRS,
@@ -38,6 +39,7 @@ from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.resolution import coordinate_limit
 from granflow.plan.scene_parts import PlannedGroup, PlannedStage
 from granflow.plan.settings import OptionalSetting
+from granflow.plan.sum_units import SumUnits, sum_units
 from granflow.plan.time_step import PairCase, TimeStep, shortest_phase, stable_step
 from granflow.plan.travel import STEP_SHARE
 from granflow.plan.wall_control import ControlledMotion
@@ -175,6 +177,15 @@ class Plan:
         """Contact history: slot of the contact model -> number of components; slots without history are absent."""
         return {slot: law.history_count for slot, law in self.laws.by_slot.items() if law.history_count}
 
+    @cached_property
+    def sum_units(self) -> SumUnits:
+        """Units of the sums over contacts."""
+        farthest = 2.0 * float(np.abs([self.domain_low, self.domain_high]).max())
+        return sum_units(
+            self.pair_cases, self.law, self.velocity_max, self.max_overlap, self.radius_max, self.longest_time_step,
+            farthest,
+        )  # fmt: skip
+
     @property
     def chunk_capacity(self) -> int:
         """Number of chunks for all particles, at least 1."""
@@ -209,6 +220,7 @@ class Plan:
             measured_walls=rounded_capacity(len(self.measured_walls), MIN_WALLS) if self.measured_walls else 0,
             pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
             batch=MIN_BATCH,
+            chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
         )
 
     @property
@@ -237,6 +249,19 @@ class Plan:
         """Limit of the wall displacement [m] between rebuilds: half the skin, divided between two kinds of motion."""
         return (0.25 if self.controlled_motions and self.wall_speed > 0.0 else 0.5) * self.skin
 
+    @cached_property
+    def reach_max(self) -> float:
+        """Largest displacement [m] of a particle between rebuilds: that of fast particles, at least half the skin.
+
+        Half the skin in a periodic box, for whose images the skin is checked. At most half the thickness of an outlet,
+        which a particle must not cross between two rebuilds, and half the radius at mesh walls, whose cells would
+        contain too many triangles.
+        """
+        boxes = [outlet.high - outlet.low for outlet in self.outlets if outlet.low is not None]
+        radius = (0.5 if self.features.mesh_walls else 1.0) * self.radius_min
+        largest = 0.0 if self.periodic_box.axes else min([radius, *(0.5 * float(box.min()) for box in boxes)])
+        return max(0.5 * self.skin, largest)
+
     @property
     def travel_limit(self) -> float:
         """Maximum displacement [m] of a particle in one step."""
@@ -259,8 +284,8 @@ class Plan:
 
     @cached_property
     def mesh_grids(self) -> dict[int, MeshGrid]:
-        """The cell grid of each mesh wall by wall index, with the triangles within the largest radius plus skin."""
-        reach = self.radius_max + self.skin + self.laws.range
+        """The cell grid of each mesh wall by wall index, with the triangles that a particle can reach."""
+        reach = self.radius_max + self.reach_max + self.wall_displacement_limit + self.laws.range
         return {index: grid_over(mesh.adjacency.vertex, reach) for index, mesh in self.meshes.items()}
 
     def first_triangle(self, index: int) -> int:

@@ -17,7 +17,7 @@ from granflow.plan.device_arrays import DeviceArray, Precision, neighbor_arrays,
 from granflow.plan.plan import Plan
 
 INTEGRATION_READ = (
-    *("position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild"),
+    *("position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild", "reach"),
 )
 INTEGRATION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
 FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")

@@ -29,7 +29,8 @@ class PairCase:
     """The stiffest contact of two groups, or of a group and a wall.
 
     `radius_eff` [m], `mass_eff` [kg]: effective radius and mass of the contact; `radius` [m], `solid`: of the particle
-    for which the Rayleigh time is computed; `pair`: mixed constants of the two materials.
+    for which the Rayleigh time is computed; `pair`: mixed constants of the two materials; `largest_radius` [m]: largest
+    radius of the smaller particle in a contact of the two groups, which the overlap limit refers to.
     """
 
     name: str
@@ -37,6 +38,7 @@ class PairCase:
     radius_eff: float
     mass_eff: float
     radius: float
+    largest_radius: float
     solid: Solid
     contact_count: int = MAX_CONTACTS
     """Maximum number of simultaneous contacts of a particle: at most the number of other particles and walls."""

@@ -150,7 +150,9 @@ def _check_arrays(
     for name, array in arrays.items():
         shape = array.shape if count is None else (count, *array.shape[1:])
         saved_shape = shape if array.width is None else (*shape, array.width)
-        if array.dtype == "i32":
+        if array.dtype == "i64":
+            part[name].integers(*saved_shape, low=-(2**63), high=2**63 - 1)
+        elif array.dtype == "i32":
             part[name].integers(*saved_shape)
         else:
             part[name].floats(*saved_shape)
@@ -184,15 +186,16 @@ def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scen
 
 
 def _check_positions(particles: Part, count: int, plan: Plan) -> None:
-    """Check that particles were inside the domain at the last rebuild and have moved less than the skin since.
+    """Check that particles were inside the domain at the last rebuild and have moved little since.
 
-    Displacements up to 2 skins and positions up to one skin outside the domain are accepted, plus rounding [m].
+    Displacements up to twice the largest reach and positions up to one skin outside the domain are accepted, plus
+    rounding [m].
     """
     position = particles["position"].floats(count, 3).astype(float)
     at_rebuild = particles["position_at_rebuild"].floats(count, 3).astype(float)
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
-    if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.skin + rounding):
-        raise particles["position"].error("is farther from position_at_rebuild than the skin allows")
+    if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.reach_max + rounding):
+        raise particles["position"].error("is farther from position_at_rebuild than its reach")
     low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
     if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, particle_group, run_to_end
+from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
 from granflow.engine import kept_states
-from granflow.engine.neighbor.cell_grid import CellGrid
+from granflow.engine.neighbor.cell_grid import build_grid_over
+from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.kernel_language import ti
 from granflow.observers.interval import on_interval
 from granflow.plan import capacities
 from granflow.plan import plan as plan_module
@@ -125,11 +127,25 @@ def test_capacities_are_rounded_up_in_steps_of_a_quarter(needed, expected):
     assert capacities.rounded_capacity(needed, 100) == expected
 
 
-@pytest.mark.parametrize("extent", [1.0, 1e6, 1e30])
-@pytest.mark.parametrize("side", [1e-3, 1e-30])
-def test_cell_grid_respects_the_cell_limit_for_any_extent(extent, side):
-    limit = 8192
-    grid = CellGrid.over(np.zeros(3), np.full(3, extent), side, limit)
-    assert 1 <= grid.cell_count <= limit
-    assert min(grid.blocks) >= 1
-    assert min(np.multiply(grid.side, grid.cells)) >= extent
+def test_cell_grid_respects_the_cell_limit_for_any_extent(taichi_f64):
+    grid = falling_particle_grid()
+    for extent in (1.0, 1e6, 1e30):
+        for side in (1e-3, 1e-30):
+            *sides, cells_x, cells_y, cells_z = grid(extent, side, 8192)
+            cells = np.array([cells_x, cells_y, cells_z])
+            assert 1 <= np.prod(np.ceil(cells / BLOCK_SIDE)) * BLOCK_SIDE**3 <= 8192
+            assert np.min(np.multiply(sides, cells)) >= extent
+
+
+def falling_particle_grid():
+    """Function (extent [m], side [m], cell limit): sides and cells of the grid over a cube in an expanding domain."""
+    domain = {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "expand"}
+    state = prepared_simulation(build_scene({"ball": particle_group([[0.0] * 3])}, domain=domain)).engine.state
+    grid_over = build_grid_over(state)
+
+    @ti.kernel
+    def lay(extent: ti.f64, side: ti.f64, limit: ti.i32) -> ti.types.vector(6, ti.f64):
+        _low, sides, cells = grid_over(ti.Vector.zero(ti.f64, 3), extent * ti.Vector.one(ti.f64, 3), side, limit)
+        return ti.Vector([sides[0], sides[1], sides[2], cells[0], cells[1], cells[2]], dt=ti.f64)
+
+    return lambda extent, side, limit: lay(extent, side, limit).to_list()

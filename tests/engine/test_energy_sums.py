@@ -13,6 +13,8 @@ ENERGIES = (7.0, 2.0, -4.0)
 """Kinetic, rotational and gravitational energy [J]."""
 
 LOSS_VALUES = dict(zip(LOSSES, (0.5, 0.25, 0.125, 1.0, 3.0), strict=True))
+ENERGY_UNIT = 2.0**-40
+"""Unit of the sums [J] of the test."""
 MEASURED = {"elastic_energy": 1.5, "plastic_dissipation": 0.75}
 
 
@@ -32,9 +34,11 @@ def test_mechanical_energy_of_two_particles():
 
 def totals(inserted, removed=0.5, **changes):
     losses = LOSS_VALUES | changes
-    field = SimpleNamespace(to_numpy=lambda: np.array([[losses[name] for name in LOSSES]]))
+    words = [[int(losses[name] * 2 / ENERGY_UNIT) for name in LOSSES] + [0] * len(LOSSES)]
+    field = SimpleNamespace(to_numpy=lambda: np.array(words))
     state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), wall_dynamics=None)
-    state.backend = SimpleNamespace(precision="f64")
+    state.backend, state.plan = SimpleNamespace(precision="f64"), SimpleNamespace(sum_units=SimpleNamespace())
+    state.plan.sum_units.energy = ENERGY_UNIT
     return energy_budget_totals(state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED)
 
 

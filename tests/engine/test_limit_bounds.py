@@ -7,6 +7,7 @@ from scene_builders import build_scene, particle_group, plane, prepared_simulati
 
 from granflow.engine.limits import ABORT_REASONS, NO_PARTICLE
 from granflow.geometry.motion import ForceControlled
+from granflow.plan.capacities import REACH_STEPS
 from granflow.simulation import Simulation
 
 NEAR = 1e-6
@@ -115,15 +116,30 @@ def free_particle(taichi_f64):
 
 def after_one_step(free_particle, displacement):
     """Limit that a step of `displacement` [m] exceeds, and whether the step requests a neighbor-list rebuild."""
-    rebuilds = free_particle.engine.timing.rebuild_count + 1  # that of the refresh
-    found = limit_exceeded(free_particle, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]], steps=1)
-    return found, free_particle.engine.timing.rebuild_count > rebuilds
+    engine = free_particle.engine
+    limit_exceeded(free_particle, np.zeros((1, 3)), np.zeros((1, 3)))  # the reach is that of a particle at rest
+    engine.state.particles.velocity[0] = [0.0, displacement / STEP, 0.0]
+    rebuilds = engine.timing.rebuild_count
+    engine.advance(1)
+    return ABORT_REASONS.get(engine.stepper.abort_code), engine.timing.rebuild_count > rebuilds
 
 
 def test_a_displacement_of_half_a_skin_requests_a_rebuild(free_particle):
     """If two particles approach by more than half a skin each, they can touch before the list contains them."""
     assert after_one_step(free_particle, 0.5 * SKIN * (1 - NEAR)) == (None, False)
     assert after_one_step(free_particle, 0.5 * SKIN * (1 + NEAR)) == (None, True)
+
+
+def test_the_reach_of_a_fast_particle_is_longer_by_a_number_of_steps(free_particle):
+    """With d the displacement per step, a rebuild is due after n steps with n d > skin/2 + REACH_STEPS d."""
+    engine, displacement = free_particle.engine, SKIN / 9
+    assert SKIN / 2 + REACH_STEPS * displacement < engine.plan.reach_max
+    limit_exceeded(free_particle, np.zeros((1, 3)), [[0.0, displacement / STEP, 0.0]])
+    rebuilds = engine.timing.rebuild_count
+    engine.advance(REACH_STEPS + 4)
+    assert engine.timing.rebuild_count == rebuilds
+    engine.advance(1)
+    assert engine.timing.rebuild_count == rebuilds + 1
 
 
 def test_a_displacement_of_a_fifth_of_the_radius_in_one_step_aborts_the_run(free_particle):

@@ -16,12 +16,12 @@ def gas_plan(**pair):
 
 
 def test_traffic_of_elastic_spheres_is_that_counted_by_hand():
-    """In f64: x, v, F, x at rebuild, m, R read, x, v written; x, v, m, R read, F written; 3 + 9 x 2 integers.
+    """In f64: x, v, F, x at rebuild, reach, m, R read, x, v written; x, v, m, R read, F written; 3 + 9 x 2 integers.
 
     A rebuild every 50 steps: all fields four times, 8 integers, 9 x 4 and 6 x 4 integers.
     """
     plan = gas_plan()
-    integration, forces = 24 * 4 + 8 * 2 + 24 * 2, 24 * 2 + 8 * 2 + 24
+    integration, forces = 24 * 4 + 8 * 3 + 24 * 2, 24 * 2 + 8 * 2 + 24
     lists, rebuild_lists = 4 * (3 + 9 * 2), 4 * (8 + 9 * 4 + 6 * 4)
     all_fields = estimate_memory(plan, "f64").per_particle - 5 * 4  # without list ranges, cell and order
     expected = integration + forces + lists + (4 * all_fields + rebuild_lists) / 50

@@ -106,7 +106,7 @@ def test_stable_step_of_a_damped_spring_is_the_leapfrog_stability_limit(contacts
     law = Linear(Spring(stiffness, None, 0.0))
     pair = PairMaterial(1e9, 1e9, restitution, 0.0)
     solid = Solid(1e9, 0.25, 2500.0, None)
-    allowed = stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, solid, contacts), law, VELOCITY) / 0.99
+    allowed = stable_step(PairCase("pair", pair, 1e-3, MASS, 1e-3, 1e-3, solid, contacts), law, VELOCITY) / 0.99
 
     def growth(step):
         spring = modes * stiffness * step**2 / MASS

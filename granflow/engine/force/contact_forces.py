@@ -1,11 +1,19 @@
 """Contact forces on one chunk of particles: wall contacts one at a time, particle contacts in batches on a CPU.
 
-Sums are written `a[i] = a[i] + b`: Taichi compiles `a[i] += b` on a field to an atomic operation, which costs more than
-the whole contact model and is not needed within a chunk.
+Forces and torques are summed exactly, see `exact_sums`. Sums are written `a[i] = a[i] + b`: Taichi compiles
+`a[i] += b` on a field to an atomic operation, which costs more than the whole contact model and is not needed within a
+chunk.
 """
 
 from typing import Any
 
+from granflow.engine.exact_sums import (
+    build_list_shares,
+    build_set_forces,
+    build_to_grid,
+    carried,
+    energy_words,
+)
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
@@ -13,7 +21,6 @@ from granflow.engine.force.pair_kinematics import (
     build_effective,
     build_pair_constants,
     build_pair_kinematics,
-    build_weight,
 )
 from granflow.engine.force.simd_pair_force import build_batched_forces
 from granflow.engine.force.wall_forces import build_add_impulse
@@ -34,7 +41,8 @@ from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_add_wall_force
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
-from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING, WALL_WORK
+from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING, WALL_WORK
+from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
 
 def build_contact(state: State, with_wall: bool) -> Any:
@@ -165,24 +173,29 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     Writes:  losses, boundary_work, impulses, wall_force
     """
     features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
-    control, weight, add_boundary_work = state.control, build_weight(state), build_boundary_work(state)
-    measured = with_wall and features.wall_forces
+    control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
+    per_unit = state.parameter("per_unit")
+    measured, loss_count = with_wall and features.wall_forces, len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
     _clear, add_wall_force = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def add_losses(chunk, share, found, work):
-        losses = control.losses[chunk]
+    def add_losses(chunk, shares, found, work):
+        losses, per_joule = control.losses[chunk], per_unit()[ENERGY]
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            losses[loss] += share * found.losses[k]
-        losses[WALL_WORK] += work
+            low, high = energy_words(per_joule * found.losses[k])
+            losses[loss] += shares * low
+            losses[loss + loss_count] += shares * high
+        low_work, high_work = energy_words(per_joule * work)
+        losses[WALL_WORK] += shares * low_work
+        losses[WALL_WORK + loss_count] += shares * high_work
         control.losses[chunk] = losses
 
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            add_losses(chunk, weight(chunk, j), found, wall_work(i, j, pose, found, dt))
+            add_losses(chunk, list_shares(chunk, j), found, wall_work(i, j, pose, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
@@ -243,9 +256,11 @@ def build_forces(state: State) -> Any:
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists, walls
     Writes:  force, torque, history, losses, impulses, wall forces, abort
     """
-    plan, particles, neighbors = state.plan, state.particles, state.neighbors
+    plan, neighbors = state.plan, state.neighbors
     features, real, chunk_size = plan.features, state.backend.real, state.parameter("chunk_size")
-    gravity, batched = state.parameter("gravity"), state.batch is not None
+    gravity, shift = state.parameter("gravity"), state.parameter("shift")
+    batch, to_grid = state.batch, build_to_grid(real)
+    batched, set_forces, carry_sums = batch is not None, build_set_forces(state), _build_carry_sums(state)
     batched_forces = build_batched_forces(state) if batched else None
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -254,27 +269,25 @@ def build_forces(state: State) -> Any:
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
-    def particle_forces(chunk, i, acceleration, pose, dt):
-        """Weight, wall forces and, without batches, particle contact forces."""
-        force = particles.mass[i] * acceleration
-        torque = 0.0 * force
+    def add_contact(force, torque, force_sum, torque_sum):
+        force_added, torque_added = to_grid(force, shift()[FORCE]), to_grid(torque, shift()[TORQUE])
+        return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
+
+    @ti.func
+    def particle_forces(chunk, i, pose, dt):
+        """Sums of the forces and torques of walls and, without batches, of particles."""
+        force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
         if ti.static(plan.has_walls):
             for pass_index in range(pass_count):
                 for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
                     if in_this_pass(list_index, pass_index) == 1:
-                        force_added, torque_added = wall_contact(
-                            chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                        )
-                        force, torque = force + force_added, torque + torque_added
+                        force, torque = wall_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                        force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
         if ti.static(not batched):
             for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
-                force_added, torque_added = particle_contact(
-                    chunk, i, list_index, neighbors.partner[list_index], pose, dt
-                )
-                force, torque = force + force_added, torque + torque_added
-        particles.force[i] = force
-        if ti.static(features.rotation):
-            particles.torque[i] = torque
+                force, torque = particle_contact(chunk, i, list_index, neighbors.partner[list_index], pose, dt)
+                force_sum, torque_sum = add_contact(force, torque, force_sum, torque_sum)
+        return force_sum, torque_sum
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
@@ -283,8 +296,39 @@ def build_forces(state: State) -> Any:
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, last):
-            particle_forces(chunk, i, acceleration, pose, dt)
+            force_sum, torque_sum = particle_forces(chunk, i, pose, dt)
+            if ti.static(batched):
+                for axis in ti.static(range(3)):
+                    batch.sums[worker, i - first][axis] = force_sum[axis]
+                    if ti.static(features.rotation):
+                        batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
+            else:
+                set_forces(i, force_sum, torque_sum, acceleration)
         if ti.static(batched):
             batched_forces(worker, chunk, first, last, pose, dt)
+            for i in range(first, last):
+                sums = batch.sums[worker, i - first]
+                torque_sum = ti.Vector.zero(ti.f64, 3)
+                if ti.static(features.rotation):
+                    torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
+                set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum, acceleration)
+        carry_sums(chunk)
 
     return forces
+
+
+def _build_carry_sums(state: State) -> Any:
+    """Device function (chunk): move the carries of the energies, once per step and chunk.
+
+    Writes:  losses, boundary_work
+    """
+    control, features, loss_count = state.control, state.plan.features, len(LOSSES)
+
+    @ti.func
+    def carry_sums(chunk):
+        if ti.static(features.energy_budget):
+            control.losses[chunk] = carried(control.losses[chunk], loss_count)
+            if ti.static(features.periodic != "none"):
+                control.boundary_work[chunk] = carried(control.boundary_work[chunk], 1)
+
+    return carry_sums

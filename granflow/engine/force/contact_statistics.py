@@ -3,17 +3,24 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
+from granflow.engine.exact_sums import SHARES, build_list_shares, carried, energy_words, exact_totals, to_units
+from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
-from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants, build_weight
+from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.neighbor.contact_history import build_read_history
 from granflow.engine.state import State
 from granflow.kernel_language import ti
+from granflow.plan.sum_units import ENERGY
 
-STATISTICS = ("contact_count", "overlap_sum", "overlap_largest", "elastic_energy", "plastic_dissipation")
-"""Totals over contacts: count, sum and maximum of the overlap over the smaller radius, energies [J]."""
-COUNT, OVERLAP_SUM, OVERLAP_LARGEST, ELASTIC, PLASTIC = range(len(STATISTICS))
+SUMS = ("contact_count", "overlap_sum")
+"""Sums over contacts: count, overlap over the smaller radius."""
+COUNT, OVERLAP = range(len(SUMS))
+
+ENERGIES = ("elastic_energy", "plastic_dissipation")
+"""Sums of energies [J] over contacts."""
+
+OVERLAP_UNIT = 2.0**-48
+"""Unit of the sum of relative overlaps: a chunk can have 2^15 contacts."""
 
 
 class ContactStatistics:
@@ -21,43 +28,46 @@ class ContactStatistics:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self._measure = _build_measure(state)
+        self.block, chunks = FieldBlock(), state.plan.capacities.chunks
+        self.sums = self.block.vector(ti.i64, chunks, count=len(SUMS))
+        self.energies = self.block.vector(ti.i64, chunks, count=2 * len(ENERGIES))
+        self.largest = self.block.scalar(state.backend.real, chunks)
+        self.block.finish()
+        self._measure = _build_measure(state, self.sums, self.energies, self.largest)
 
     def measure(self, pose: int) -> dict[str, float]:
-        """Statistics of all contacts by the names of STATISTICS; fills both contact counts.
+        """Statistics of all contacts; fills both contact counts.
 
         pose:  index of the wall poses at the present time, see `Stepper.place_walls`
+
+        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """
         state = self.state
         if not state.count:
-            return dict.fromkeys(STATISTICS, 0.0)
-        chunks = np.empty(
-            (state.chunk_count, len(STATISTICS)), np.float32 if state.backend.precision == "f32" else float
-        )
-        self._measure(state.chunk_count, state.count, pose, state.clock.time_step, chunks)
-        values = dict(zip(STATISTICS, chunks.sum(axis=0).tolist(), strict=True))
-        values["overlap_largest"] = float(chunks[:, OVERLAP_LARGEST].max())
-        return values
+            return dict.fromkeys((*SUMS, *ENERGIES, "overlap_largest"), 0.0)
+        self._measure(state.chunk_count, state.count, pose, state.clock.time_step)
+        totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT]
+        unit = state.plan.sum_units.energy / SHARES
+        energies = exact_totals(self.energies.to_numpy()[: state.chunk_count], unit)
+        largest = float(self.largest.to_numpy()[: state.chunk_count].max())
+        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (*totals.tolist(), *energies.tolist(), largest)
+        return dict(zip(names, values, strict=True))
 
 
-def _build_measure(state: State) -> Callable[..., None]:
-    """Kernel (chunks, count, pose, time_step, statistics): statistics (chunks, len(STATISTICS)) of each chunk.
-
-    A pair in two lists counts half in each.
+def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
+    """Kernel (chunks, count, pose, time_step): exact sums, energies and the largest relative overlap of each chunk.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
-    Writes:  coordination_number, wall_contact_count, statistics
+    Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
     particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
-    real, chunk_size, size = state.backend.real, state.parameter("chunk_size"), len(STATISTICS)
-    any_kinematics, weight, energies = build_any_kinematics(state), build_weight(state), build_energies(state)
+    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), len(SUMS)
+    any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
-
-    real_sum = ti.f32 if state.backend.precision == "f32" else ti.f64
-    external: Any = ti.types.ndarray()
+    per_unit = state.parameter("per_unit")
 
     @ti.kernel
-    def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, statistics: external):
+    def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             particles.coordination_number[i] = 0
             if ti.static(has_walls):
@@ -65,33 +75,36 @@ def _build_measure(state: State) -> Callable[..., None]:
         for task in range(chunks * stride):
             if task % stride == 0:
                 chunk = task // stride
-                found = ti.Vector.zero(real_sum, size)
-                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
+                found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
+                low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
+                per_joule, size = per_unit()[ENERGY], chunk_size()
+                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, pose, dt)
+                        shares = list_shares(chunk, j)
                         if in_range(i, j, contact.overlap):
-                            share, constants = weight(chunk, j), pair_constants(i, j)
-                            elastic, plastic = energies(list_index, constants, contact)
-                            found[ELASTIC] += share * elastic
-                            found[PLASTIC] += share * plastic
+                            elastic, plastic = energies(list_index, pair_constants(i, j), contact)
+                            elastic_low, elastic_high = energy_words(per_joule * elastic)
+                            plastic_low, plastic_high = energy_words(per_joule * plastic)
+                            low += shares * ti.Vector([elastic_low, plastic_low])
+                            high += shares * ti.Vector([elastic_high, plastic_high])
                         if contact.overlap > 0.0:
-                            share = weight(chunk, j)
                             radius_min = particles.radius[i]
                             if j >= 0:
                                 radius_min = ti.min(radius_min, particles.radius[j])
                             relative = contact.overlap / radius_min
-                            found[COUNT] += share
-                            found[OVERLAP_SUM] += share * relative
-                            found[OVERLAP_LARGEST] = ti.max(found[OVERLAP_LARGEST], relative)
+                            found[COUNT] += shares
+                            found[OVERLAP] += shares * to_units(relative / OVERLAP_UNIT)
+                            overlap_largest = ti.max(overlap_largest, relative)
                             if j >= 0:
                                 particles.coordination_number[i] += 1
-                                if share == 1.0:
+                                if shares == SHARES:
                                     particles.coordination_number[j] += 1
                             elif ti.static(has_walls):
                                 particles.wall_contact_count[i] += 1
-                for c in ti.static(range(size)):
-                    statistics[chunk, c] = found[c]
+                sums[chunk], largest[chunk] = found, overlap_largest
+                energy_sums[chunk] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
 
     return measure
 

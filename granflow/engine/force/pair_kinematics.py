@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from granflow.engine.exact_sums import build_list_shares, build_to_grid, energy_words
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
 from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
@@ -9,6 +10,7 @@ from granflow.engine.periodic_box import build_image_velocity, build_minimum_ima
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
+from granflow.plan.sum_units import ENERGY, FORCE
 
 
 def build_pair_kinematics(state: State, with_wall: bool) -> Any:
@@ -157,37 +159,24 @@ def build_any_kinematics(state: State) -> Any:
     return any_kinematics
 
 
-def build_weight(state: State) -> Any:
-    """Device function (chunk, j): 1 for a pair in one neighbor list, 1/2 for a pair in two; j is the partner.
-
-    Sums over list entries of the chunk with this weight count each contact once.
-    """
-    chunk_size = state.parameter("chunk_size")
-
-    @ti.func
-    def weight(chunk, j):
-        share, first = 1.0, chunk * chunk_size()
-        if j >= 0 and (j < first or j >= first + chunk_size()):
-            share = 0.5
-        return share
-
-    return weight
-
-
 def build_boundary_work(state: State) -> Any:
     """Device function (chunk, i, j, force on i, pose, time_step): add the work of the moving image of j on a pair [J].
 
         W = F_ij . (velocity of the image relative to its original) dt, once per pair
 
+    with the force rounded as in the sum of forces: its last bits depend on the instructions that computed it.
+
     Writes:  boundary_work
     """
-    weight, image_velocity = build_weight(state), build_image_velocity(state)
-    boundary_work: Any = state.control.boundary_work
+    list_shares, image_velocity, control = build_list_shares(state), build_image_velocity(state), state.control
+    per_unit, shift, to_grid = state.parameter("per_unit"), state.parameter("shift"), build_to_grid(state.backend.real)
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        work = weight(chunk, j) * dt * force.dot(image_velocity(i, j, pose))
-        boundary_work[chunk] = boundary_work[chunk] + ti.cast(work, ti.f64)
+        rounded = to_grid(force, shift()[FORCE])
+        low, high = energy_words(per_unit()[ENERGY] * dt * rounded.dot(image_velocity(i, j, pose)))
+        work = list_shares(chunk, j) * ti.Vector([low, high])
+        control.boundary_work[chunk] = control.boundary_work[chunk] + work
 
     return add_boundary_work
 

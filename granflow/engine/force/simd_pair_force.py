@@ -7,6 +7,7 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
+from granflow.engine.exact_sums import build_list_shares, build_to_grid, energy_words
 from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
@@ -19,7 +20,6 @@ from granflow.engine.force.pair_kinematics import (
     build_effective,
     build_pair_constants,
     build_pair_number,
-    build_weight,
 )
 from granflow.engine.force.structs import (
     build_constants,
@@ -34,7 +34,8 @@ from granflow.engine.neighbor.contact_history import build_add_plastic_loss, bui
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import BATCH, LANES, State
 from granflow.kernel_language import ti
-from granflow.plan.chunk_sums import DAMPING, FRICTION, ROLLING
+from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING
+from granflow.plan.sum_units import ENERGY, FORCE, TORQUE
 
 
 @ti.func
@@ -82,7 +83,7 @@ def _build_collect(state: State) -> Any:
 
     Reads:   position, radius, neighbor lists, in_contact
     Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
-             at a distance, force
+             at a distance, sums
     """
     particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
     real, has_history = state.backend.real, bool(neighbors.history)
@@ -125,7 +126,7 @@ def _build_collect(state: State) -> Any:
             check_overlap(i, square, reach, overlap_ratio * radius_min)
             if ti.static(acts_at_distance):
                 if not near:
-                    attract(chunk, i, j, list_index, branch, reach, first, last, pose, dt)
+                    attract(worker, chunk, i, j, list_index, branch, reach, first, last, pose, dt)
             elif ti.static(has_history):
                 if neighbors.in_contact[list_index] == 1 and not near:
                     end_lost_contact(chunk, list_index, i, j, dt)
@@ -137,13 +138,19 @@ def _build_collect(state: State) -> Any:
 def _build_attract(state: State) -> Any:
     """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the range.
 
-    Arguments: chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the chunk,
-    pose, time step.
+    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the
+    chunk, pose, time step. The force is rounded for the exact sums.
 
     Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  force, history, in_contact, losses, boundary_work
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work
     """
-    particles, features = state.particles, state.plan.features
+    batch, features, to_grid, shift = (
+        state.batch,
+        state.plan.features,
+        build_to_grid(state.backend.real),
+        state.parameter("shift"),
+    )
+    add_to_sums = _build_add_to_sums(state)
     distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
     pair_constants, effective, has_history = (
@@ -153,21 +160,40 @@ def _build_attract(state: State) -> Any:
     )
 
     @ti.func
-    def attract(chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
+    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
         distance = ti.sqrt(branch.dot(branch))
         constants = pair_constants(i, j)
         if distance < contact_distance + constants.cohesion.range:
             overlap = ti.min(contact_distance - distance, 0.0)
-            force = -distant_force(chunk, i, list_index, j, overlap, dt) / distance * branch
-            particles.force[i] = particles.force[i] + force
+            attraction = distant_force(chunk, i, list_index, j, overlap, dt)
+            force = to_grid(-attraction / distance * branch, shift()[FORCE])
+            added = ti.cast(force, batch.sums.dtype)
+            add_to_sums(worker, i - first, 0, added)
             if j >= first and j < last:
-                particles.force[j] = particles.force[j] - force
+                add_to_sums(worker, j - first, 0, -added)
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(has_history):
             add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
 
     return attract
+
+
+def _build_add_to_sums(state: State) -> Any:
+    """Device function (worker, particle, first, terms): add three terms to the sums of a particle.
+
+    Particles are numbered within the chunk; `first` is the component of the first term.
+
+    Writes:  sums of the batch
+    """
+    batch = state.batch
+
+    @ti.func
+    def add_to_sums(worker, local, first: ti.template(), terms):
+        for k in ti.static(range(3)):
+            batch.sums[worker, local][first + k] = batch.sums[worker, local][first + k] + terms[k]
+
+    return add_to_sums
 
 
 def _build_gather(state: State) -> Any:
@@ -295,8 +321,9 @@ def _build_load(state: State) -> Any:
 def _build_evaluate(state: State) -> Any:
     """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
 
-    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones. It
-    is a separate function (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones.
+    Forces and torques are rounded for the exact sums, losses are in their units. It is a separate function
+    (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
 
     Reads:   columns of the batch, pair_constants, law_parameters
     Writes:  columns of the batch
@@ -306,7 +333,10 @@ def _build_evaluate(state: State) -> Any:
     slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
     sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
     load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
-    constants_of, longest_time_step = build_constants(plan.laws), state.parameter("longest_time_step")
+    constants_of, to_grid = build_constants(plan.laws), build_to_grid(real)
+    longest_time_step, shift_of, per_unit = (
+        state.parameter(name) for name in ("longest_time_step", "shift", "per_unit")
+    )
 
     @ti.func
     def kinematics_of(worker, entry, dt):
@@ -320,19 +350,19 @@ def _build_evaluate(state: State) -> Any:
         )
 
     @ti.func
-    def store_results(worker, entry, found):
-        store_vector(batch.branch, worker, entry, found.force)
-        store_vector(batch.angular_velocity, worker, entry, found.torque)
-        store_vector(batch.angular_velocity_partner, worker, entry, found.torque_partner)
+    def store_results(worker, entry, found, shift, units):
+        store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
+        store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
+        store_vector(batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE]))
         for slot, vector_of in ti.static(slots):
             store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
         if ti.static(features.energy_budget):
-            store_vector(batch.losses, worker, entry, found.losses)
+            store_vector(batch.losses, worker, entry, units[ENERGY] * found.losses)
 
     @ti.real_func
     def evaluate(worker: ti.i32, end: ti.i32, dt: real):
         shared, parameters = control.pair_constants[0], control.law_parameters[0]
-        longest = longest_time_step()
+        longest, shift, units = longest_time_step(), shift_of(), per_unit()
         for entry in range(end):
             row = shared
             if ti.static(not features.one_material):
@@ -346,7 +376,7 @@ def _build_evaluate(state: State) -> Any:
                 dt,
                 longest,
             )
-            store_results(worker, entry, found)
+            store_results(worker, entry, found, shift, units)
 
     return evaluate
 
@@ -354,20 +384,15 @@ def _build_evaluate(state: State) -> Any:
 def _build_scatter(state: State) -> Any:
     """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
 
-    Forces are added to both partners, if the second is in this chunk, in the order of the entries.
+    Forces are added to both partners, if the second is in this chunk.
 
     Reads:   columns of the batch
-    Writes:  force, torque, history, in_contact, losses, boundary_work
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work
     """
-    plan, particles, neighbors, control, batch = (
-        state.plan,
-        state.particles,
-        state.neighbors,
-        state.control,
-        state.batch,
-    )
+    plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
-    weight, add_boundary_work = build_weight(state), build_boundary_work(state)
+    list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
+    add_to_sums, loss_count = _build_add_to_sums(state), len(LOSSES)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -383,26 +408,31 @@ def _build_scatter(state: State) -> Any:
 
     @ti.func
     def add_losses(worker, chunk, j, entry):
-        share = weight(chunk, j)
+        shares = list_shares(chunk, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            control.losses[chunk][loss] = control.losses[chunk][loss] + share * batch.losses[k][worker, entry]
+            low, high = energy_words(batch.losses[k][worker, entry])
+            control.losses[chunk][loss] = control.losses[chunk][loss] + shares * low
+            high_word = ti.static(loss + loss_count)  # an index that is not static crashes the kernel compiler
+            control.losses[chunk][high_word] = control.losses[chunk][high_word] + shares * high
 
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):
         for entry in range(end):
             i, j = batch.owner[worker, entry], batch.partner[worker, entry]
-            force = vector_of(batch.branch, worker, entry)
-            particles.force[i] = particles.force[i] + force
+            force = ti.cast(vector_of(batch.branch, worker, entry), batch.sums.dtype)
+            add_to_sums(worker, i - first, 0, force)
             if ti.static(features.rotation):
-                particles.torque[i] = particles.torque[i] + vector_of(batch.angular_velocity, worker, entry)
+                torque = vector_of(batch.angular_velocity, worker, entry)
+                add_to_sums(worker, i - first, 3, ti.cast(torque, batch.sums.dtype))
             if j >= first and j < last:
-                particles.force[j] = particles.force[j] - force
+                add_to_sums(worker, j - first, 0, -force)
                 if ti.static(features.rotation):
-                    particles.torque[j] = particles.torque[j] + vector_of(batch.angular_velocity_partner, worker, entry)
+                    torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
+                    add_to_sums(worker, j - first, 3, ti.cast(torque_partner, batch.sums.dtype))
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, j, entry)
                 if ti.static(features.lees_edwards):
-                    add_boundary_work(chunk, i, j, force, pose, dt)
+                    add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
 
     return scatter

@@ -1,11 +1,14 @@
-"""Wall forces: time integrals of the forces of the particles, summed per chunk, and in order on the host."""
+"""Wall forces: time integrals of the forces of the particles, summed exactly per chunk."""
 
 from typing import Any
 
 import numpy as np
 
+from granflow.engine.exact_sums import carried, exact_totals, to_units
 from granflow.engine.state import State
 from granflow.kernel_language import ti
+from granflow.plan.chunk_sums import IMPULSE_SIZE
+from granflow.plan.sum_units import ANGULAR_IMPULSE, IMPULSE
 
 
 def build_add_impulse(state: State) -> Any:
@@ -13,13 +16,14 @@ def build_add_impulse(state: State) -> Any:
 
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
-    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are in f64 for every
-    precision, because a wall force is the difference of two sums.
+    with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact, because a wall
+    force is the difference of two sums.
 
     Reads:   position, impulse_row, pivot
     Writes:  impulses
     """
     particles, walls, impulses = state.particles, state.walls, state.control.impulses
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def add_impulse(chunk, w, i, normal, force, torque, dt):
@@ -29,12 +33,13 @@ def build_add_impulse(state: State) -> Any:
             impulse, angular_impulse = -time * ti.cast(force, ti.f64), -time * ti.cast(torque, ti.f64)
             arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
             angular_impulse += arm.cross(impulse)
+            units = ti.cast(per_unit(), ti.f64)
             sums = impulses[chunk, row]
             for axis in ti.static(range(3)):
-                sums[axis] += impulse[axis]
-                sums[3 + axis] += angular_impulse[axis]
-            sums[6] -= impulse.dot(ti.cast(normal, ti.f64))
-            impulses[chunk, row] = sums
+                sums[axis] += to_units(units[IMPULSE] * impulse[axis])
+                sums[3 + axis] += to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
+            sums[6] -= to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+            impulses[chunk, row] = carried(sums, IMPULSE_SIZE)
 
     return add_impulse
 
@@ -47,6 +52,6 @@ def wall_impulses(state: State) -> dict[str, np.ndarray]:
     """
     if state.control.impulses is None:
         return {}
-    names = state.plan.measured_walls
-    sums = state.control.impulses.to_numpy().sum(axis=0)[: len(names)]
-    return dict(zip(names, sums, strict=True))
+    sums, units = state.control.impulses.to_numpy(), state.plan.sum_units
+    unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
+    return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}

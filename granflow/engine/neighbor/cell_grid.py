@@ -1,128 +1,177 @@
-"""Cell grid over the particles.
+"""Cell grid over the particles, computed on the device.
 
 Cells are numbered in blocks of 8 x 8 x 8, so that a chunk of consecutive particles is compact and few pairs connect
 two chunks.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
+from granflow.engine.limits import ABORT_FAR
+from granflow.engine.neighbor.cells import BLOCK_SIDE
 from granflow.engine.state import State
+from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS
 from granflow.plan.plan import BLOCK_CELLS
 
-BLOCK_SIDE = 8
-"""Number of cells along each edge of a block."""
-
 OUTLIER_SHARE = 1 / 16
-"""Share of the parts of the particle list that may be outside the grid at each end; see `_grid_for_particles`."""
+"""Share of the parts of the particle list that may be outside the grid at each end; see `_build_lay_grid`."""
 
 VOLUME_RATIO = 1 / 2
 """Ratio of cell volumes below which the grid excludes outliers."""
 
+COARSER = 1.25
+"""Factor of the cell side of a grid that would have too many cells."""
 
-@dataclass(frozen=True)
-class CellGrid:
-    """Grid of cells over a box; cell numbers are assigned in whole blocks.
+MARGIN = 1e-6
+"""Relative margin of the cell side above rounding, so that a neighbor is never two cells away."""
 
-    low:    (3,) [m], low corner
-    side:   (3,) [m], cell sides
-    cells:  number of cells along each axis
+
+def build_lay_grids(state: State) -> Any:
+    """Device function (count): the grid for sorting; if particle sizes differ widely, one per size class.
+
+    The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and the range of
+    the forces. Aborts if an expanding domain has become too large for the precision.
+
+    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phase`)
+    Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
     """
-
-    low: np.ndarray
-    side: np.ndarray
-    cells: tuple[int, int, int]
-
-    @property
-    def blocks(self) -> tuple[int, ...]:
-        """Number of blocks along each axis."""
-        return tuple(-(-cells // BLOCK_SIDE) for cells in self.cells)
-
-    @property
-    def cell_count(self) -> int:
-        """Number of cells in all blocks."""
-        return int(np.prod(self.blocks, dtype=np.int64)) * BLOCK_CELLS
-
-    @classmethod
-    def over(
-        cls, low: np.ndarray, high: np.ndarray, side: float, cell_limit: int, periodic: Sequence[int] = ()
-    ) -> "CellGrid":
-        """Smallest grid of cells at least `side` wide over a box, coarsened to at most `cell_limit` cells.
-
-        low, high:   (3,) [m], corners of the box
-        side:        smallest cell side [m]; a limit on the cells increases it in steps of 25 %
-        cell_limit:  maximum number of cells, exceeded only by a grid of one block
-        periodic:    axes along which the cells fill the box exactly
-
-        Along the other axes the cells are `side` wide, in whole blocks.
-        """
-        is_periodic = np.isin(np.arange(3), periodic)
-        while True:
-            blocks = np.maximum(np.ceil((high - low) / (side * BLOCK_SIDE) + 1e-9), 1.0)
-            cells = np.where(is_periodic, np.maximum(np.floor((high - low) / side), 1.0), BLOCK_SIDE * blocks)
-            sides = np.where(is_periodic, (high - low) / cells, side)
-            blocks = np.ceil(cells / BLOCK_SIDE)
-            if np.prod(blocks) * BLOCK_CELLS <= cell_limit or np.all(blocks == 1.0):
-                return cls(low, sides, (int(cells[0]), int(cells[1]), int(cells[2])))
-            side *= 1.25
-
-
-def update_cell_grids(state: State) -> list[CellGrid]:
-    """Write the grid for sorting. If particle sizes differ widely, write one per size class; the first is for sorting.
-
-    Returns:  grids by size class; the cells are at least as wide as the largest diameter of the class plus the skin
-
-    Reads:   low, high (see `build_bounds`)
-    Writes:  grid_low, cell_side, cells, first_cell, radius
-    """
-    plan, sorting = state.plan, state.cell_sort
-    lows, highs = (
-        np.sort(field.to_numpy()[: min(state.count, BOUNDS)].astype(float), axis=0)
-        for field in (sorting.low, sorting.high)
+    sorting, by_class = state.cell_sort, state.cell_sort.class_order is not None
+    lay_grid, expands = _build_lay_grid(state), state.plan.domain.on_exit == "expand"
+    class_count, force_range, coordinate_limit = (
+        state.parameter(name) for name in ("class_count", "force_range", "coordinate_limit")
     )
-    grids: list[CellGrid] = []
-    for class_index, radius in enumerate(plan.size_classes):
-        # The margin is above rounding, so that a neighbor is never two cells away.
-        side = (2.0 * radius + plan.skin + plan.laws.range) * (1.0 + 1e-6)
-        limit = plan.cell_capacity >> class_index
-        grid = _grid_for_particles(state, lows, highs, side, limit)
-        if sorting.class_order is not None:
-            sorting.radius[class_index], sorting.first_cell[class_index] = (
-                radius,
-                sum(each.cell_count for each in grids),
-            )
-        sorting.grid_low[class_index], sorting.cell_side[class_index] = list(grid.low), list(grid.side)
-        sorting.cells[class_index] = list(grid.cells)
-        grids.append(grid)
-    return grids
+
+    @ti.func
+    def lay_grids(count):
+        parts = ti.min(count, BOUNDS)
+        low, high, reach = sorting.low[0], sorting.high[0], sorting.reach[0]
+        for part in range(parts):
+            low, high = ti.min(low, sorting.low[part]), ti.max(high, sorting.high[part])
+            reach = ti.max(reach, sorting.reach[part])
+        sorting.reach_largest[0] = reach
+        if ti.static(expands):
+            if ti.max(-low.min(), high.max()) > coordinate_limit():
+                ti.atomic_max(state.control.abort[0], ABORT_FAR)
+        first_cell = 0
+        for grid in range(class_count()):
+            if ti.static(by_class):
+                sorting.first_cell[grid] = first_cell
+            side = (2.0 * sorting.radius[grid] + 2.0 * reach + force_range()) * (1.0 + MARGIN)
+            lay_grid(grid, parts, low, high, side)
+            first_cell += sorting.cell_count[grid]
+        sorting.cell_count[class_count()] = first_cell
+
+    return lay_grids
 
 
-def _grid_for_particles(state: State, lows: np.ndarray, highs: np.ndarray, side: float, limit: int) -> CellGrid:
-    """A grid over all particles.
+def _build_lay_grid(state: State) -> Any:
+    """Device function (grid, parts, low, high, side): write one grid over all particles.
 
-    lows, highs:  (parts, 3) [m], sorted corners of the bounding boxes of the parts of the particle list
-    side:         smallest cell side [m]
-    limit:        maximum number of cells
+    low, high:  corners [m] of their bounding box
+    side:       smallest cell side [m]
 
     If a few outliers make the cells much larger than requested, the grid excludes them; an outlier is then assigned to
     the nearest cell at the edge of the grid.
+
+    Reads:   low, high of the cell sort
+    Writes:  grid_low, cell_side, cells, cell_count
     """
-    grid = _grid_over(state, lows[0], highs[-1], side, limit)
-    if np.any(np.delete(grid.side, state.plan.periodic_box.axes) > side):
-        outliers = int(OUTLIER_SHARE * len(lows))
-        finer = _grid_over(state, lows[outliers], highs[-1 - outliers], side, limit)
-        grid = finer if np.prod(finer.side) < VOLUME_RATIO * np.prod(grid.side) else grid
-    return grid
+    sorting, axes = state.cell_sort, state.plan.periodic_box.axes
+    grid_over, within = build_grid_over(state), _build_within(state)
+    other_axes, cell_capacity = [axis for axis in range(3) if axis not in axes], state.parameter("cell_capacity")
+
+    @ti.func
+    def lay_grid(grid, parts, low, high, side):
+        limit = cell_capacity() >> grid
+        found_low, sides, cells = grid_over(low, high, side, limit)
+        is_coarse = False
+        for axis in ti.static(other_axes):
+            is_coarse = is_coarse or sides[axis] > side
+        if is_coarse:
+            inner_low, inner_high = within(parts, low, high)
+            finer_low, finer_sides, finer_cells = grid_over(inner_low, inner_high, side, limit)
+            if finer_sides[0] * finer_sides[1] * finer_sides[2] < VOLUME_RATIO * sides[0] * sides[1] * sides[2]:
+                found_low, sides, cells = finer_low, finer_sides, finer_cells
+        sorting.grid_low[grid], sorting.cell_side[grid], sorting.cells[grid] = found_low, sides, cells
+        blocks = (cells + BLOCK_SIDE - 1) // BLOCK_SIDE
+        sorting.cell_count[grid] = blocks[0] * blocks[1] * blocks[2] * BLOCK_CELLS
+
+    return lay_grid
 
 
-def _grid_over(state: State, low: np.ndarray, high: np.ndarray, side: float, limit: int) -> CellGrid:
-    """The grid over a box clipped to the domain, unless the domain expands; the whole domain along periodic axes."""
-    plan, periodic_axes = state.plan, list(state.plan.periodic_box.axes)
-    if plan.domain.on_exit != "expand":
-        low, high = np.maximum(low, plan.domain_low), np.minimum(high, plan.domain_high)
-    low, high = low.copy(), np.maximum(high, low)
-    low[periodic_axes], high[periodic_axes] = plan.domain_low[periodic_axes], plan.domain_high[periodic_axes]
-    return CellGrid.over(low, high, side, limit, periodic_axes)
+def _build_within(state: State) -> Any:
+    """Device function (parts, low, high): corners [m] of the box without OUTLIER_SHARE of the parts at each end.
+
+    A bisection along each axis: the corner between which and `low` at most that share of the parts begin, ...
+
+    Reads:  low, high of the cell sort
+    """
+    sorting, bisections = state.cell_sort, 30
+
+    @ti.func
+    def within(parts, low, high):
+        outliers = ti.cast(OUTLIER_SHARE * ti.cast(parts, ti.f32), ti.i32)
+        inner_low, inner_high = low, high
+        for axis in ti.static(range(3)):
+            begin, end = low[axis], high[axis]  # at most `outliers` parts are below `begin`
+            first, last = low[axis], high[axis]  # at most `outliers` parts are above `last`
+            for _ in range(bisections):
+                middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
+                below, above = 0, 0
+                for part in range(parts):
+                    below += ti.cast(sorting.low[part][axis] < middle_low, ti.i32)
+                    above += ti.cast(sorting.high[part][axis] > middle_high, ti.i32)
+                if below <= outliers:
+                    begin = middle_low
+                else:
+                    end = middle_low
+                if above <= outliers:
+                    last = middle_high
+                else:
+                    first = middle_high
+            inner_low[axis], inner_high[axis] = begin, last
+        return inner_low, inner_high
+
+    return within
+
+
+def build_grid_over(state: State) -> Any:
+    """Device function (low, high, side, cell limit): low corner [m], cell sides [m] and cells along each axis.
+
+    The smallest grid of cells at least `side` wide over a box clipped to the domain, unless the domain expands,
+    coarsened to at most the limit of cells, exceeded only by a grid of one block. Along periodic axes the cells fill
+    the domain exactly; along the other axes they are `side` wide, in whole blocks.
+    """
+    real, domain_low, domain_high = (
+        state.backend.position_real,
+        state.parameter("domain_low"),
+        state.parameter("domain_high"),
+    )
+    axes, expands = state.plan.periodic_box.axes, state.plan.domain.on_exit == "expand"
+
+    @ti.func
+    def grid_over(low, high, side_requested, limit):
+        box_low, box_high, side, lows, highs = low, high, side_requested, domain_low(), domain_high()
+        for axis in ti.static(range(3)):
+            if ti.static(axis in axes):
+                box_low[axis], box_high[axis] = lows[axis], highs[axis]
+            elif ti.static(not expands):
+                box_low[axis] = ti.max(low[axis], lows[axis])
+                box_high[axis] = ti.min(high[axis], highs[axis])
+        size = ti.max(box_high - box_low, 0.0)
+        cells, sides, fits = size, size, False
+        while not fits:
+            for axis in ti.static(range(3)):
+                cells[axis] = BLOCK_SIDE * ti.max(ti.ceil(size[axis] / (side * BLOCK_SIDE) + 1e-9), 1.0)
+                sides[axis] = side
+                if ti.static(axis in axes):
+                    cells[axis] = ti.max(ti.floor(size[axis] / side), 1.0)
+                    sides[axis] = size[axis] / cells[axis]
+            blocks = ti.ceil(cells / BLOCK_SIDE)
+            block_count = blocks[0] * blocks[1] * blocks[2]
+            # The negation is also true for NaN.
+            fits = not (block_count * BLOCK_CELLS > ti.cast(limit, real) and block_count > 1.0)
+            side *= COARSER
+        return box_low, sides, ti.cast(cells, ti.i32)
+
+    return grid_over

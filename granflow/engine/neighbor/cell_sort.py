@@ -1,43 +1,58 @@
-"""Sorts particles in cell order at a neighbor-list rebuild: a counting sort, then the permutation of all fields.
+"""Order of the particles by cell at a neighbor-list rebuild: a counting sort, in phases.
 
-Integers determine all results: identical bits for any number of threads.
+Integers determine all results: the order is the same for any number of threads.
 """
 
-from collections.abc import Callable
 from typing import Any
 
+from granflow.engine.neighbor.cell_grid import build_lay_grids
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
+from granflow.engine.neighbor.phases import Phase, granularity, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
 
-def build_bounds(state: State) -> Callable[[int], None]:
-    """Kernel (count): bounding boxes of BOUNDS parts of the particle list; part p contains p, p + BOUNDS, ...
+def bounds_phase(state: State) -> Phase:
+    """Reach of all particles, bounds of BOUNDS parts of the particle list, and the grids.
 
-    Reads:   position
-    Writes:  low, high of the cell sort
+        reach = min(skin / 2 + |v| time, reach_max)
+
+    A part holds consecutive particles; its bounds are those of the positions, and the largest reach. A fast particle
+    looks further, so that it does not make the rebuilds of all others more frequent.
+
+    Reads:   position, velocity
+    Writes:  reach of the particles; low, high, reach of the cell sort; the grids
     """
-    position, low, high = state.particles.position, state.cell_sort.low, state.cell_sort.high
+    particles, sorting, real = state.particles, state.cell_sort, state.backend.position_real
+    position, reach_max, lay_grids = particles.position, state.parameter("reach_max"), build_lay_grids(state)
 
-    @ti.kernel
-    def bounds(count: ti.i32):
-        for part in range(BOUNDS):
-            start = position[ti.min(part, ti.max(count - 1, 0))]
-            smallest, largest = start, start
-            for row in range((count - part + BOUNDS - 1) // BOUNDS):
-                here = position[part + row * BOUNDS]
-                smallest, largest = ti.min(smallest, here), ti.max(largest, here)
-            low[part], high[part] = smallest, largest
+    @ti.func
+    def part_count(rebuild):
+        return ti.min(rebuild.count, BOUNDS)
 
-    return bounds
+    @ti.func
+    def bounds(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), rebuild.count)
+        smallest, largest, reach_largest, limit = position[begin], position[begin], 0.5 * rebuild.skin, reach_max()
+        for i in range(begin, end):
+            smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
+            speed = ti.cast(particles.velocity[i].norm(), real)
+            reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
+            particles.reach[i] = reach
+            reach_largest = ti.max(reach_largest, reach)
+        sorting.low[part], sorting.high[part], sorting.reach[part] = smallest, largest, reach_largest
+
+    @ti.func
+    def lay(rebuild):
+        lay_grids(rebuild.count)
+
+    return Phase(part_count, bounds, lay)
 
 
-def build_sort(state: State) -> Callable[..., None]:
-    """Kernel (count, cells): order of the particles by cell, by id within a cell; deleted particles come last.
-
-    The order is unique, because ids are: it does not depend on the threads.
+def sort_phases(state: State) -> list[Phase]:
+    """Order of the particles by cell, by id within a cell; deleted particles come last.
 
     Reads:   position, id
     Writes:  cell_start, order
@@ -46,21 +61,29 @@ def build_sort(state: State) -> Callable[..., None]:
     remains = build_remains(state)
 
     @ti.func
-    def cell_of(i, cells):
-        cell = cells - 1
+    def cell_of(i, cell_count):
+        cell = cell_count
         if remains(i):
             cell = cell_number(cell_of_point(sorting, 0, particles.position[i]), sorting.cells[0])
         return cell
 
     @ti.func
+    def cells_of_all():
+        return sorting.cell_count[0]
+
+    @ti.func
     def key(i):
         return particles.id[i]
 
-    return _build_counting_sort(state, cell_of, key, sorting.cell_start, sorting.order)
+    @ti.func
+    def count_of(rebuild):
+        return rebuild.count
+
+    return _counting_sort(state, cell_of, cells_of_all, count_of, key, sorting.cell_start, sorting.order)
 
 
-def build_class_lists(state: State) -> Callable[..., None]:
-    """Kernel (count, cells): order of the sorted particles by size class and cell of its grid.
+def class_phases(state: State) -> list[Phase]:
+    """Order of the sorted particles by size class and cell of its grid.
 
     Within a cell the particles keep their order.
 
@@ -71,7 +94,7 @@ def build_class_lists(state: State) -> Callable[..., None]:
     class_count = state.parameter("class_count")
 
     @ti.func
-    def cell_of(i, cells):
+    def cell_of(i, cell_count):
         group = 0
         for smaller in range(class_count() - 1):
             group += ti.cast(particles.radius[i] > sorting.radius[smaller], ti.i32)
@@ -79,63 +102,116 @@ def build_class_lists(state: State) -> Callable[..., None]:
         return sorting.first_cell[group] + cell
 
     @ti.func
+    def cells_of_all():
+        return sorting.cell_count[class_count()]
+
+    @ti.func
     def key(i):
         return i
 
-    return _build_counting_sort(state, cell_of, key, sorting.class_start, sorting.class_order)
+    @ti.func
+    def present_count(rebuild):
+        return sorting.cell_start[sorting.cell_count[0]]
+
+    return _counting_sort(state, cell_of, cells_of_all, present_count, key, sorting.class_start, sorting.class_order)
 
 
-def _build_counting_sort(state: State, cell_of: Any, key: Any, start: Any, order: Any) -> Callable[..., None]:
-    """Kernel (count, cells): `order` of particles by `cell_of(i, cells + 1)`, by `key(i)` within a cell.
+def _counting_sort(
+    state: State, cell_of: Any, cells_of_all: Any, count_of: Any, key: Any, start: Any, order: Any
+) -> list[Phase]:
+    """Phases that write `order` of particles by `cell_of(i, cells)`, by `key(i)` within a cell.
 
-    cell_of:  device function, 0 to `cells`
-    key:      device function, different for all particles
-    start:    field, written; the particles of cell c are order[start[c]:start[c + 1]]
-    order:    field, written
+    cell_of:       device function, 0 to `cells`
+    cells_of_all:  device function, number of cells
+    count_of:      device function, number of particles
+    key:           device function, different for all particles
+    start:         field, written; the particles of cell c are order[start[c]:start[c + 1]]
+    order:         field, written
 
-    Cell `cells` collects the particles outside the grid. Counts are added atomically, which is exact for integers.
+    Cell `cells` collects the deleted particles. Counts are added atomically, which is exact for integers.
 
     Writes:  start, order, cell, cell_fill, block_sum
     """
     sorting = state.cell_sort
 
-    @ti.kernel
-    def sort(count: ti.i32, cell_count: ti.i32):
-        cells = cell_count + 1
-        blocks = (cells + 1 + SCAN_BLOCK - 1) // SCAN_BLOCK
-        for c in range(cells + 1):
-            start[c] = 0
-            sorting.cell_fill[c] = 0
-        for i in range(count):
-            cell = cell_of(i, cells)
+    most_parts, cells_per_task = granularity(state)
+
+    @ti.func
+    def block_count(rebuild):
+        return (cells_of_all() + 2 + SCAN_BLOCK - 1) // SCAN_BLOCK
+
+    @ti.func
+    def range_of(block):
+        return block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, cells_of_all() + 2)
+
+    @ti.func
+    def part_count(rebuild):
+        return ti.min(count_of(rebuild), most_parts)
+
+    @ti.func
+    def task_count(rebuild):
+        return (cells_of_all() + 2 + cells_per_task - 1) // cells_per_task
+
+    @ti.func
+    def clear(task, rebuild):
+        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 2)):
+            start[c], sorting.cell_fill[c] = 0, 0
+
+    @ti.func
+    def count_particles(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
+        for i in range(begin, end):
+            cell = cell_of(i, cells_of_all())
             sorting.cell[i] = cell
             ti.atomic_add(start[cell], 1)
-        for b in range(blocks):
-            total = 0
-            for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
-                total += start[c]
-            sorting.block_sum[b] = total
-        for _ in range(1):  # a serial loop, one task of the kernel
-            total = 0
-            for b in range(blocks):
-                here = sorting.block_sum[b]
-                sorting.block_sum[b] = total
-                total += here
-        for b in range(blocks):
-            total = sorting.block_sum[b]
-            for c in range(b * SCAN_BLOCK, ti.min((b + 1) * SCAN_BLOCK, cells + 1)):
-                here = start[c]
-                start[c] = total
-                total += here
-        for i in range(count):
+
+    @ti.func
+    def sum_block(block, rebuild):
+        begin, end = range_of(block)
+        total = 0
+        for c in range(begin, end):
+            total += start[c]
+        sorting.block_sum[block] = total
+
+    @ti.func
+    def sum_blocks(rebuild):
+        total = 0
+        for block in range(block_count(rebuild)):
+            here = sorting.block_sum[block]
+            sorting.block_sum[block] = total
+            total += here
+
+    @ti.func
+    def scan_block(block, rebuild):
+        begin, end = range_of(block)
+        total = sorting.block_sum[block]
+        for c in range(begin, end):
+            here = start[c]
+            start[c] = total
+            total += here
+
+    @ti.func
+    def place(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
+        for i in range(begin, end):
             cell = sorting.cell[i]
             rank = ti.atomic_add(sorting.cell_fill[cell], 1)
             order[start[cell] + rank] = i
-        # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that.
-        for c in range(cells):
+
+    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that.
+    @ti.func
+    def order_cells(task, rebuild):
+        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 1)):
             _order_by_key(order, key, start[c], start[c + 1])
 
-    return sort
+    return [
+        Phase(task_count, clear),
+        Phase(part_count, count_particles),
+        Phase(block_count, sum_block, sum_blocks),
+        Phase(block_count, scan_block),
+        Phase(part_count, place),
+        Phase(task_count, order_cells),
+    ]
 
 
 @ti.func
@@ -152,47 +228,3 @@ def _order_by_key(order: ti.template(), key: ti.template(), begin, end):
             order[rank] = order[rank - 1]
             rank -= 1
         order[rank] = moving
-
-
-def build_reorder(state: State) -> Callable[[int], None]:
-    """Kernel (count): move all particle fields to the new order, one field after the other.
-
-    `position_at_rebuild` and `coordination_number` serve as buffers; both are written again before they are read.
-
-    Reads:   order
-    Writes:  all fields of `Particles.sorted_fields`
-    """
-    sorting, particles, fields = state.cell_sort, state.particles, state.particles.sorted_fields()
-    vectors = [field for field in fields if isinstance(field, ti.MatrixField)]
-    integers = [field for field in fields if field.dtype == ti.i32]
-    scalars = [field for field in fields if not isinstance(field, ti.MatrixField) and field.dtype != ti.i32]
-    vector, integer = particles.position_at_rebuild, particles.coordination_number
-
-    @ti.kernel
-    def reorder_vectors(count: ti.i32):
-        for f in ti.static(range(len(vectors))):
-            for k in range(count):
-                vector[k] = ti.cast(vectors[f][sorting.order[k]], vector.dtype)
-            for k in range(count):
-                vectors[f][k] = ti.cast(vector[k], vectors[f].dtype)
-
-    @ti.kernel
-    def reorder_scalars(count: ti.i32):
-        for first in ti.static(range(0, len(scalars), 3)):
-            for k in range(count):
-                for f in ti.static(range(first, min(first + 3, len(scalars)))):
-                    vector[k][f - first] = ti.cast(scalars[f][sorting.order[k]], vector.dtype)
-            for k in range(count):
-                for f in ti.static(range(first, min(first + 3, len(scalars)))):
-                    scalars[f][k] = ti.cast(vector[k][f - first], scalars[f].dtype)
-        for f in ti.static(range(len(integers))):
-            for k in range(count):
-                integer[k] = integers[f][sorting.order[k]]
-            for k in range(count):
-                integers[f][k] = integer[k]
-
-    def reorder(count: int) -> None:
-        reorder_vectors(count)
-        reorder_scalars(count)
-
-    return reorder

@@ -3,9 +3,11 @@
 `sorting` is `State.cell_sort`; cell coordinates are 3-vectors of integers, from 0.
 """
 
-from granflow.engine.neighbor.cell_grid import BLOCK_SIDE
 from granflow.kernel_language import ti
 from granflow.plan.plan import BLOCK_CELLS
+
+BLOCK_SIDE = 8
+"""Number of cells along each edge of a block."""
 
 ROUNDING = 1e-5
 """Relative margin of the cell range within a radius, because cell coordinates are rounded."""

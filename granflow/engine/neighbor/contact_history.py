@@ -2,11 +2,12 @@
 
 from typing import Any
 
-from granflow.engine.force.pair_kinematics import build_weight
+from granflow.engine.exact_sums import build_list_shares, energy_words
 from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
 from granflow.kernel_language import ti
-from granflow.plan.chunk_sums import PLASTIC
+from granflow.plan.chunk_sums import LOSSES, PLASTIC
+from granflow.plan.sum_units import ENERGY
 
 NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
@@ -95,11 +96,16 @@ def build_add_plastic_loss(state: State) -> Any:
 
     Writes:  losses
     """
-    losses, weight, energy_budget = state.control.losses, build_weight(state), state.plan.features.energy_budget
+    control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
+    per_unit = state.parameter("per_unit")
 
     @ti.func
     def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            losses[chunk][PLASTIC] = losses[chunk][PLASTIC] + weight(chunk, j) * energy_lost
+            shares = list_shares(chunk, j)
+            low, high = energy_words(per_unit()[ENERGY] * energy_lost)
+            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + shares * low
+            high_word = ti.static(PLASTIC + len(LOSSES))  # an index that is not static crashes the kernel compiler
+            control.losses[chunk][high_word] = control.losses[chunk][high_word] + shares * high
 
     return add_plastic_loss

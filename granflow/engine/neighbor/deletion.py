@@ -4,26 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.limits import ABORT_FAR
 from granflow.engine.state import State
 from granflow.kernel_language import ti
-from granflow.plan.capacities import BOUNDS
 
 
-def check_coordinates(state: State) -> None:
-    """Set the abort code if a particle in an expanding domain is too far from the origin for the precision.
+def find_farthest(state: State) -> None:
+    """Set the particle of an abort because of a coordinate above `plan.coordinate_limit` [m].
 
-    The limit is `plan.coordinate_limit` [m] along each axis.
-
-    Reads:   low, high (see `build_bounds`); position, id if the limit is exceeded
-    Writes:  abort, abort_particle
+    Reads:   position, id
+    Writes:  abort_particle
     """
-    count = min(state.count, BOUNDS)
-    corners = (field.to_numpy()[:count] for field in (state.cell_sort.low, state.cell_sort.high))
-    if max(float(np.abs(corner).max()) for corner in corners) <= state.plan.coordinate_limit:
-        return
     position = np.nan_to_num(np.abs(state.particles.position.to_numpy()[: state.count]), nan=0.0)
-    state.control.abort[0] = ABORT_FAR
     state.control.abort_particle[0] = int(state.particles.id[int(position.max(axis=1).argmax())])
 
 

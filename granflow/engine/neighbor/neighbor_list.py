@@ -4,12 +4,19 @@ The order of the cells and of the particles in them determines the order of each
 threads.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 from granflow.engine.frozen_masks import build_can_touch
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
-from granflow.engine.neighbor.cells import adjacent_cells, cell_number, cell_of_point, cells_within, wrapped_cell
+from granflow.engine.neighbor.cells import (
+    BLOCK_SIDE,
+    adjacent_cells,
+    cell_number,
+    cell_of_point,
+    cells_within,
+    wrapped_cell,
+)
+from granflow.engine.neighbor.phases import Phase
 from granflow.engine.neighbor.saved_history import build_restore_history
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
@@ -23,51 +30,68 @@ NO_LIMIT = 2**31 - 1
 """Length of a list without batches."""
 
 
-def build_neighbor_list(state: State) -> Callable[..., None]:
-    """Kernel (chunks, count, skin, pose): fill the neighbor lists with all bodies nearer than the skin [m].
+def fill_phase(state: State) -> Phase:
+    """Fill the neighbor lists, chunk by chunk, with all pairs that can come into contact before the next rebuild.
+
+    Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
+    plus half the skin, by which walls may move. The range of forces at a distance is added to both.
 
     `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
-    repeats the kernel with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
+    repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
 
-    Reads:   position, radius, fixed, cells and order of the cell sort, walls, mesh, saved history
-    Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed,
+    Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
+    Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested
     """
-    particles, neighbors, control, stride = state.particles, state.neighbors, state.control, state.stride
-    real, chunk_size, lists = state.backend.position_real, state.parameter("chunk_size"), NeighborListFill(state)
-    list_capacity, longest_allowed = state.parameter("list_capacity"), NO_LIMIT
+    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
+    chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
+    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
-    @ti.kernel
-    def fill_neighbor_list(chunks: ti.i32, count: ti.i32, skin: real, pose: ti.i32):
+    @ti.func
+    def present_count(rebuild):
+        present = 0
+        if rebuild.count > 0:
+            present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
+        return present
+
+    @ti.func
+    def chunk_count(rebuild):
+        return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
+
+    @ti.func
+    def fill(chunk, rebuild):
+        first, end = chunk * chunk_size(), (chunk + 1) * chunk_size()
+        begin = chunk * list_capacity()
+        limit, list_index, longest = begin + list_capacity(), begin, 0
+        for i in range(first, ti.min(end, present_count(rebuild))):
+            particles.position_at_rebuild[i] = particles.position[i]
+            neighbors.list_begin[i] = list_index
+            owner = ti.Struct(
+                i=i, first=first, end=end, limit=limit, skin=rebuild.skin, reach=sorting.reach_largest[0],
+                pose=rebuild.pose,
+            )  # fmt: skip
+            list_index = lists.fill(owner, list_index)
+            neighbors.list_end[i] = list_index
+            longest = ti.max(longest, list_index - neighbors.list_begin[i])
+        excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
+        ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
+
+    @ti.func
+    def finish(rebuild):
+        sorting.present[0] = present_count(rebuild)
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
-        control.list_length_needed[0] = 0
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk = task // stride
-                first, end = chunk * chunk_size(), (chunk + 1) * chunk_size()
-                begin = chunk * list_capacity()
-                limit, list_index, longest = begin + list_capacity(), begin, 0
-                for i in range(first, ti.min(end, count)):
-                    particles.position_at_rebuild[i] = particles.position[i]
-                    neighbors.list_begin[i] = list_index
-                    owner = ti.Struct(i=i, first=first, end=end, limit=limit, skin=skin, pose=pose)
-                    list_index = lists.fill(owner, list_index)
-                    neighbors.list_end[i] = list_index
-                    longest = ti.max(longest, list_index - neighbors.list_begin[i])
-                excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
-                ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
 
-    return fill_neighbor_list
+    return Phase(chunk_count, fill, finish)
 
 
 class NeighborListFill:
     """Device functions that append the entries of one neighbor list.
 
     `owner`, a struct: index `i` of the particle, `first` and `end` of its chunk, `limit` of the list indices of the
-    chunk, the `skin` [m] and the `pose` of the walls.
+    chunk, the `skin` [m], the largest `reach` [m] of all particles and the `pose` of the walls.
     Each function takes the list index of the next entry and returns the one after its last entry.
     """
 
@@ -84,6 +108,9 @@ class NeighborListFill:
             WallGeometry(state),
             build_can_touch(state),
             state.parameter("wall_count"),
+        )
+        self.domain_low, self.domain_high, self.force_range = (
+            state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
         )
         self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
         self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
@@ -107,10 +134,15 @@ class NeighborListFill:
         return list_index + 1
 
     @ti.func
+    def _slack(self, owner: ti.template()):
+        """Gap [m] between particle and wall below which they are listed."""
+        return self.particles.reach[owner.i] + 0.5 * owner.skin + self.force_range()
+
+    @ti.func
     def _append_walls(self, owner: ti.template(), list_index):
-        """Append the walls, and the triangles of meshes, within the skin."""
-        position, reach = self.particles.position[owner.i], self.particles.radius[owner.i] + owner.skin
-        list_end = list_index
+        """Append the walls, and the triangles of meshes, within reach."""
+        position, list_end = self.particles.position[owner.i], list_index
+        reach = self.particles.radius[owner.i] + self._slack(owner)
         for w in range(self.wall_count()):
             if self.state.walls.present[w] == 1 and self.can_touch(owner.i, -1 - w):
                 if ti.static(self.plan.features.mesh_walls):
@@ -121,13 +153,14 @@ class NeighborListFill:
 
     @ti.func
     def _append_triangles(self, owner: ti.template(), list_index, w):
-        """Append the triangles of a mesh that are within the skin and may own a contact."""
-        list_end, reach = list_index, self.particles.radius[owner.i] + owner.skin
+        """Append the triangles of a mesh that are within reach and may own a contact."""
+        list_end, slack = list_index, self._slack(owner)
+        reach = self.particles.radius[owner.i] + slack
         local = self.geometry.to_wall_frame(w, owner.pose, self.particles.position[owner.i])
         begin, end = triangle_range(self.mesh, w, local)
         for k in range(begin, end):
             t = self.mesh.cell_triangles[k]
-            if may_own(self.mesh, t, local, owner.skin) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
+            if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
                 list_end = self._append(owner, list_end, -1 - self.wall_count() - t)
         return list_end
 
@@ -137,7 +170,8 @@ class NeighborListFill:
         list_end, position = list_index, self.particles.position[owner.i]
         if ti.static(self.by_class):
             for grid in range(self.class_count()):
-                reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + owner.skin
+                reach = self.particles.radius[owner.i] + self.sorting.radius[grid] + self.force_range()
+                reach += self.particles.reach[owner.i] + owner.reach
                 if ti.static(self.sheared):
                     reach += owner.skin
                 for image in range(-self.image_range, self.image_range + 1):
@@ -155,20 +189,37 @@ class NeighborListFill:
         list_end, cells = list_index, self.sorting.cells[grid]
         for z in range(first[2], end[2]):
             for y in range(first[1], end[1]):
-                for x in range(first[0], end[0]):
-                    cell = cell_number(wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells), cells)
-                    if ti.static(self.by_class):
-                        cell += self.sorting.first_cell[grid]
-                        for k in range(self.sorting.class_start[cell], self.sorting.class_start[cell + 1]):
-                            list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
-                    else:
-                        for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + 1]):
-                            list_end = self._append_if_near(owner, list_end, j, image)
+                x = first[0]
+                while x < end[0]:
+                    cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
+                    # Cells along x are consecutive within a block: their particles are one range.
+                    count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
+                    list_end = self._append_range(owner, list_end, grid, cell_number(cell, cells), count, image)
+                    x += count
         return list_end
 
     @ti.func
+    def _append_range(self, owner: ti.template(), list_index, grid, cell, count, image):
+        """Append partners from `count` consecutive cells of a grid."""
+        list_end = list_index
+        if ti.static(self.by_class):
+            begin = self.sorting.first_cell[grid] + cell
+            for k in range(self.sorting.class_start[begin], self.sorting.class_start[begin + count]):
+                list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
+        else:
+            for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + count]):
+                list_end = self._append_if_near(owner, list_end, j, image)
+        return list_end
+
+    @ti.func
+    def _can_cross(self, position, skin):
+        """True if a particle can cross a sheared face before the next rebuild; it is an image for others then."""
+        low, high, coordinate = self.domain_low(), self.domain_high(), position[self.gradient]
+        return coordinate < low[self.gradient] + skin or coordinate > high[self.gradient] - skin
+
+    @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
-        """Append a partner in another chunk, or behind `i` in this one, if it is within the skin.
+        """Append a partner in another chunk, or behind `i` in this one, if it is within reach.
 
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
@@ -177,12 +228,14 @@ class NeighborListFill:
         if j > i or j < owner.first or j >= owner.end:
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
-            reach = self.particles.radius[i] + self.particles.radius[j] + owner.skin
+            reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
+            reach += self.particles.reach[i] + self.particles.reach[j]
             is_nearest_image = True
             if ti.static(self.sheared):
                 is_nearest_image = self.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.
-                reach += ti.cast(ti.abs(image), self.state.backend.position_real) * owner.skin
+                if image != 0 or self._can_cross(position, owner.skin) or self._can_cross(partner_position, owner.skin):
+                    reach += owner.skin
             if branch.dot(branch) < reach * reach and is_nearest_image and self.can_touch(i, j):
                 list_end = self._append(owner, list_end, j)
         return list_end

@@ -1,31 +1,38 @@
-"""Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists."""
+"""Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
 
 from collections.abc import Callable
 
-from granflow.engine.neighbor.cell_grid import update_cell_grids
-from granflow.engine.neighbor.cell_sort import build_bounds, build_class_lists, build_reorder, build_sort
-from granflow.engine.neighbor.deletion import check_coordinates
-from granflow.engine.neighbor.neighbor_list import TOO_LONG, build_neighbor_list
+from granflow.engine.limits import ABORT_FAR
+from granflow.engine.neighbor.cell_sort import bounds_phase, class_phases, sort_phases
+from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
+from granflow.engine.neighbor.phases import Phase, build_rebuild
+from granflow.engine.neighbor.reorder import reorder_phases
 from granflow.engine.neighbor.saved_history import build_save_history
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
-from granflow.plan.capacities import list_capacity_for
+from granflow.kernel_language import ti
+from granflow.plan.capacities import REACH_STEPS, list_capacity_for
 
 
-class RebuildKernels:
-    """The kernels of a rebuild; None if the plan does not need one."""
+class RebuildKernel:
+    """The kernel of a rebuild.
+
+    launch:  see `build_rebuild`
+    fill:    number of the phase that fills the lists
+    """
 
     def __init__(self, state: State) -> None:
-        self.wrap = build_wrap(state) if state.plan.features.periodic != "none" else None
-        self.bounds, self.sort, self.reorder = build_bounds(state), build_sort(state), build_reorder(state)
-        self.sort_classes = build_class_lists(state) if state.cell_sort.class_order is not None else None
-        self.fill = build_neighbor_list(state)
-        self.save = build_save_history(state) if state.neighbors.history else None
+        phases = [*_chunk_phases(state), bounds_phase(state), *sort_phases(state), *reorder_phases(state)]
+        if state.cell_sort.class_order is not None:
+            phases += class_phases(state)
+        self.fill = len(phases)
+        self.launch = build_rebuild(state, [*phases, fill_phase(state)])
 
 
 class NeighborListRebuild:
-    """A rebuild of the neighbor lists.
+    """Runs the phases of a rebuild.
 
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
@@ -38,70 +45,77 @@ class NeighborListRebuild:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
 
     def compile(self) -> None:
-        """Compile the kernels, unless the state has them, by launching them on empty ranges."""
-        self._kernels = kernels = self._state.built(RebuildKernels)
-        kernels.bounds(0)
-        if kernels.wrap is not None:
-            kernels.wrap(0, 0, 0, 1.0)
-        kernels.sort(0, 0)
-        if kernels.sort_classes is not None:
-            kernels.sort_classes(0, 0)
-        kernels.reorder(0)
-        kernels.fill(0, 0, 0.0, 0)
-        if kernels.save is not None:
-            kernels.save(0, 0)
+        """Compile the kernel, unless the state has it, by launching it on an empty range."""
+        self._kernel = self._state.built(RebuildKernel)
+        self._kernel.launch(1, self._kernel.fill, 0, 0.0, 0.0, 0.0, 0)
 
-    def run(self, pose: int) -> None:
+    def run(self, pose: int, workers: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
 
-        `pose`: index of the wall poses at the time of the positions.
+        pose:     index of the wall poses at the time of the positions
+        workers:  number of workers of the launch
         """
         state = self._state
-        if state.count:
-            deleted = self._sort_particles(pose)
-            if deleted:
-                self._on_deleted(state.count - deleted, state.count)
-                state.count -= deleted
         mark_rebuild(state)  # displacements of walls count from here
-        self._fill_lists(pose)
-
-    def _sort_particles(self, pose: int) -> int:
-        """Sort the particles in cell order, with their contact histories saved.
-
-        Returns the number of particles to delete, which are behind the others.
-        """
-        state = self._state
-        if self._kernels.wrap is not None:
-            self._kernels.wrap(state.chunk_count, state.count, pose, state.clock.time_step)
-        self._kernels.bounds(state.count)
-        if state.plan.domain.on_exit == "expand":
-            check_coordinates(state)
-        grids = update_cell_grids(state)
-        self._kernels.sort(state.count, grids[0].cell_count)
-        self._save_history()
-        self._kernels.reorder(state.count)
-        # Deleted particles are in the last cell, behind all others.
-        present = int(state.cell_sort.cell_start[grids[0].cell_count])
-        if self._kernels.sort_classes is not None:
-            self._kernels.sort_classes(present, sum(grid.cell_count for grid in grids))
-        return state.count - present
-
-    def _save_history(self) -> None:
-        """Copy the contact histories to `saved`; increase the list capacity and repeat if they do not fit."""
-        while self._kernels.save is not None:
-            self._kernels.save(self._state.chunk_count, self._state.count)
-            needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.capacities.saved_entries_per_chunk:
-                return
-            self._grow(list_capacity_for(needed), 0)
-
-    def _fill_lists(self, pose: int) -> None:
-        """Fill the neighbor lists; increase the list capacity and repeat if they do not fit."""
+        first, step = 0 if state.count else self._kernel.fill, state.clock.time_step
         while True:
-            plan, count = self._state.plan, self._state.count
-            self._kernels.fill(self._state.chunk_count, count, plan.skin + plan.laws.range, pose)
-            needed = int(self._state.control.list_length_needed[0])
-            if needed <= self._state.capacities.list_entries_per_chunk:
-                return
-            too_long, length = divmod(needed, TOO_LONG)
-            self._grow(length, length * too_long)
+            self._kernel.launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
+            control = state.control  # new fields after each growth
+            needed = int(control.list_length_needed[0])
+            if first < self._kernel.fill and int(control.running[0]) == 0:  # the histories do not fit
+                self._grow(list_capacity_for(needed), 0)
+            elif needed > state.capacities.list_entries_per_chunk:
+                too_long, length = divmod(needed, TOO_LONG)
+                self._grow(length, length * too_long)
+                first = self._kernel.fill
+            else:
+                break
+        self._delete()
+
+    def _delete(self) -> None:
+        """Account for the deleted particles, which are behind the others; find one that is too far away."""
+        state = self._state
+        if not state.count:
+            return
+        present = int(state.cell_sort.present[0])
+        if present < state.count:
+            self._on_deleted(present, state.count)
+            state.count = present
+        if state.plan.domain.on_exit == "expand" and int(state.control.abort[0]) == ABORT_FAR:
+            find_farthest(state)
+
+
+def _chunk_phases(state: State) -> list[Phase]:
+    """Wrap the particles and save the contact histories, chunk by chunk; none if neither is needed.
+
+    If the histories do not fit, this phase is the last one.
+
+    Reads:   as `build_wrap` and `build_save_history`
+    Writes:  as these; running, list_length_needed
+    """
+    control, wraps, saves = state.control, state.plan.features.periodic != "none", bool(state.neighbors.history)
+    wrap, save_history = build_wrap(state) if wraps else None, build_save_history(state) if saves else None
+    chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
+
+    @ti.func
+    def chunk_count(rebuild):
+        return (rebuild.count + chunk_size() - 1) // chunk_size()
+
+    @ti.func
+    def prepare(chunk, rebuild):
+        first, last = chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), rebuild.count)
+        if ti.static(wraps):
+            for i in range(first, last):
+                wrap(chunk, i, rebuild.pose, rebuild.dt)
+        if ti.static(saves):
+            save_history(chunk, first, last)
+
+    @ti.func
+    def check_capacity(rebuild):
+        if ti.static(saves):
+            if control.list_length_needed[0] > saved_capacity():
+                control.running[0] = 0
+            else:
+                control.list_length_needed[0] = 0
+
+    return [Phase(chunk_count, prepare, check_capacity)] if wraps or saves else []

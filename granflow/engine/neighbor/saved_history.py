@@ -1,23 +1,22 @@
 """Contact history during the sort: saved before the particles are permuted, restored for each new list entry."""
 
-from collections.abc import Callable
 from typing import Any
 
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
 
-def build_save_history(state: State) -> Callable[[int, int], None]:
-    """Kernel (chunks, count): copy history entries to `saved`, where `restore_history` finds them.
+def build_save_history(state: State) -> Any:
+    """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
     `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
-    the host repeats the kernel with a larger capacity.
+    the host repeats the rebuild with a larger capacity.
 
     Reads:   neighbor lists, in_contact, history
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
-    neighbors, names, stride = state.neighbors, list(state.neighbors.history), state.stride
-    chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
+    neighbors, names = state.neighbors, list(state.neighbors.history)
+    saved_capacity = state.parameter("saved_capacity")
 
     @ti.func
     def save_entry(list_index, saved_index):
@@ -25,23 +24,19 @@ def build_save_history(state: State) -> Callable[[int, int], None]:
         for name in ti.static(names):
             neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
 
-    @ti.kernel
-    def save_history(chunks: ti.i32, count: ti.i32):
-        state.control.list_length_needed[0] = 0
-        for task in range(chunks * stride):
-            if task % stride == 0:
-                chunk, size = task // stride, chunk_size()
-                begin = chunk * saved_capacity()
-                limit, saved_index = begin + saved_capacity(), begin
-                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-                    neighbors.list_begin_before[i] = saved_index
-                    for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
-                        if neighbors.in_contact[list_index] == 1:
-                            if saved_index < limit:
-                                save_entry(list_index, saved_index)
-                            saved_index += 1
-                    neighbors.list_end_before[i] = saved_index
-                ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
+    @ti.func
+    def save_history(chunk, first, last):
+        begin = chunk * saved_capacity()
+        limit, saved_index = begin + saved_capacity(), begin
+        for i in range(first, last):
+            neighbors.list_begin_before[i] = saved_index
+            for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                if neighbors.in_contact[list_index] == 1:
+                    if saved_index < limit:
+                        save_entry(list_index, saved_index)
+                    saved_index += 1
+            neighbors.list_end_before[i] = saved_index
+        ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
 
     return save_history
 

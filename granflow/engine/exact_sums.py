@@ -1,0 +1,136 @@
+"""Exact sums of contact forces, energies and impulses: terms are rounded to multiples of a unit before they are added.
+
+The order of the terms does not change such a sum. `granflow.plan.sum_units` gives the units. Forces and torques are
+summed in f64, all others as integers, with the parameter `per_unit` to convert them. Sums over a run are in two words:
+the low one in units, the high one in 2^CARRY_BITS units.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.limits import ABORT_FORCE
+from granflow.engine.state import State
+from granflow.kernel_language import ti
+from granflow.plan.sum_units import CARRY_BITS, FORCE, SUM_BITS, TORQUE
+
+LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
+"""Largest squared sum of forces or torques in units: below it, all sums are exact."""
+
+SHARES = 2
+"""Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single one."""
+
+
+@ti.func
+def to_units(value):
+    """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
+    return ti.cast(value, ti.i64)
+
+
+@ti.func
+def energy_words(value):
+    """Low and high word of an energy, each rounded toward zero.
+
+    value:  energy in units of the high word, i.e. in 2^CARRY_BITS units of an energy
+    """
+    high = to_units(value)
+    return to_units((value - high) * 2.0**CARRY_BITS), high
+
+
+def build_to_grid(real: Any) -> Any:
+    """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite arguments.
+
+        (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
+
+    In f64, forces are below s / 3 (see `build_set_forces`). In f32, a force above s is a multiple of the unit anyway;
+    sums are in f64 there, too.
+
+    real:  type of the argument
+    """
+
+    @ti.func
+    def to_grid(value, shift):
+        rounded = (value + shift) - shift
+        if ti.static(real == ti.f32):
+            rounded = ti.select(ti.abs(value) < shift, rounded, value)
+        return rounded
+
+    return to_grid
+
+
+def build_set_forces(state: State) -> Any:
+    """Device function (i, sums of the contact forces and torques, gravity [m/s2]): add them to the weight.
+
+    Aborts if the sums are above the range in which they are exact.
+
+    Reads:   mass, id
+    Writes:  force, torque, abort, abort_particle
+    """
+    particles, control, features, real = state.particles, state.control, state.plan.features, state.backend.real
+    per_unit = state.parameter("per_unit")
+
+    @ti.func
+    def set_forces(i, force_sum, torque_sum, acceleration):
+        particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * acceleration
+        if ti.static(features.rotation):
+            particles.torque[i] = ti.cast(torque_sum, real)
+        units = ti.cast(per_unit(), ti.f64)
+        force, torque = units[FORCE] * force_sum, units[TORQUE] * torque_sum
+        if ti.max(force.norm_sqr(), torque.norm_sqr()) > LIMIT_SQUARED:
+            ti.atomic_max(control.abort[0], ABORT_FORCE)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    return set_forces
+
+
+def build_list_shares(state: State) -> Any:
+    """Device function (chunk, j): SHARES for a pair in one neighbor list, SHARES / 2 for a pair in two.
+
+    Sums over list entries of the chunk with this factor count each contact SHARES times; j is the partner.
+    """
+    chunk_size = state.parameter("chunk_size")
+
+    @ti.func
+    def list_shares(chunk, j):
+        shares, first = SHARES, chunk * chunk_size()
+        if j >= 0 and (j < first or j >= first + chunk_size()):
+            shares = SHARES // 2
+        return shares
+
+    return list_shares
+
+
+@ti.func
+def carried(sums, count: ti.template()):
+    """Two-word sums with the carries moved from the low words to the high words.
+
+    sums:  vector of `count` low words and `count` high words
+    """
+    result = sums
+    for k in ti.static(range(count)):
+        carry = sums[k] >> CARRY_BITS
+        result[k] = sums[k] - (carry << CARRY_BITS)
+        result[count + k] = sums[count + k] + carry
+    return result
+
+
+def exact_totals(sums: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
+    """Totals of two-word sums over all axes but the last.
+
+    sums:     (..., 2 terms) int64, low words and high words
+    unit:     value of 1, a power of two, or one for each term
+    Returns:  (terms,) float64, each the exact sum rounded once
+    """
+    words = sums.reshape(-1, sums.shape[-1]).sum(axis=0).tolist()
+    terms = len(words) // 2
+    totals = (low + (high << CARRY_BITS) for low, high in zip(words[:terms], words[terms:], strict=True))
+    return unit * np.array([float(total) for total in totals])
+
+
+def exact_sum(values: np.ndarray) -> float:
+    """Sum of numbers (n,), the same for any order; each is rounded to 2^-62 of n times the largest magnitude."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not np.isfinite(largest) or largest == 0.0:
+        return float(values.sum())
+    exponent = 62 - int(np.frexp(largest * len(values))[1])
+    return float(np.ldexp(float(np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()), -exponent))

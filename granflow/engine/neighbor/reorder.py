@@ -1,0 +1,63 @@
+"""Permutation of all particle fields into cell order at a neighbor-list rebuild."""
+
+from typing import Any
+
+from granflow.engine.field_block import components
+from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.state import State
+from granflow.kernel_language import ti
+
+
+def reorder_phases(state: State) -> list[Phase]:
+    """Move all particle fields to the new order: copied to buffers, then back.
+
+    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or three
+    numbers. `position_at_rebuild` keeps the positions.
+
+    Reads:   order
+    Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
+    """
+    particles, phases = state.particles, []
+    fields = [field for field in particles.sorted_fields() if field is not particles.position]
+    reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
+    integers = [field for field in fields if field.dtype == ti.i32]
+    buffers = [*components(particles.force), *(components(particles.torque) if particles.torque is not None else ())]
+    first = [*zip(components(particles.position), components(particles.position_at_rebuild), strict=True)]
+    while reals or integers:
+        pairs = [*first, *zip(reals, buffers, strict=False)]
+        pairs += zip(integers, [particles.coordination_number], strict=False)
+        reals, integers, first = reals[len(buffers) :], integers[1:], []
+        phases += _copy_phases(state, pairs)
+    return phases
+
+
+def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
+    """Phases that permute some components: to the buffers in the new order, then back.
+
+    pairs:  scalar fields (field, buffer)
+
+    Reads:   order
+    Writes:  fields and buffers of `pairs`
+    """
+    order, (most_parts, _) = state.cell_sort.order, granularity(state)
+
+    @ti.func
+    def part_count(rebuild):
+        return ti.min(rebuild.count, most_parts)
+
+    @ti.func
+    def gather(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), rebuild.count)
+        for k in range(begin, end):
+            source = order[k]
+            for field, buffer in ti.static(pairs):
+                buffer[k] = ti.cast(field[source], buffer.dtype)
+
+    @ti.func
+    def copy_back(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), rebuild.count)
+        for k in range(begin, end):
+            for field, buffer in ti.static(pairs):
+                field[k] = ti.cast(buffer[k], field.dtype)
+
+    return [Phase(part_count, gather), Phase(part_count, copy_back)]

@@ -1,0 +1,106 @@
+"""Units of the sums over contacts: sums of integers are exact, and do not depend on the order of their terms.
+
+A contact rounds its force, torque, energy, ... to a multiple of a unit before it adds it. The bits of a run then depend
+neither on the order of the neighbor lists nor on skin, rebuilds, chunk size or number of threads.
+
+The largest force of a contact within the overlap limit L, with R the largest radius that the smaller of two particles
+in contact can have, and the overlap d = L R:
+
+    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur
+
+with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned velocity v. With
+F rounded up to a power of two, the unit of a force is F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also
+exact if their terms are in f32, of which those below 2^-22 F are rounded to multiples of half a unit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, log2
+
+import numpy as np
+
+from granflow.contact.law import NormalLaw
+from granflow.plan.time_step import PairCase
+
+FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 47, 43
+"""Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
+
+An energy is added in two words, so that the contacts of small particles count in the presence of very large ones.
+"""
+
+SUM_BITS = 50
+"""Binary digits of the largest sum of forces on a particle in its unit, a quarter of what f64 represents exactly in
+half units: partial sums can be larger than the sum."""
+
+CARRY_BITS = 40
+"""Binary digits of the low word of a sum over a run; a high word counts the rest."""
+
+
+FORCE, TORQUE, ENERGY, IMPULSE, ANGULAR_IMPULSE, WALL_FORCE = range(6)
+"""Order of the units in device arrays."""
+
+
+@dataclass(frozen=True)
+class SumUnits:
+    """Units of the sums, powers of two.
+
+    force:            force on a particle [N]
+    torque:           torque on a particle [N m]
+    energy:           dissipated energy and work [J]
+    impulse:          time integral of a wall force [N s]
+    angular_impulse:  time integral of a wall torque [N m s]
+    wall_force:       force on a force-controlled wall [N]
+    """
+
+    force: float
+    torque: float
+    energy: float
+    impulse: float
+    angular_impulse: float
+    wall_force: float
+
+    @property
+    def largest_force(self) -> float:
+        """Largest contact force [N] on a particle: above it, the sums are not exact."""
+        return self.force * 2.0**SUM_BITS
+
+
+def sum_units(
+    pair_cases: Sequence[PairCase],
+    law: NormalLaw,
+    velocity: float,
+    max_overlap: float,
+    radius: float,
+    time_step: float,
+    size: float,
+) -> SumUnits:
+    """Units of a scene.
+
+    pair_cases:   contacts that can occur, and those that only limit the time step
+    velocity:     maximum expected impact velocity [m/s]
+    max_overlap:  overlap limit over the radius
+    radius:       largest radius [m]
+    time_step:    longest time step [s]
+    size:         largest distance [m] of a particle from the pivot of a wall
+    """
+    force, energy = 0.0, 0.0
+    for case in [case for case in pair_cases if case.pair_key] or pair_cases:
+        overlap, arguments = max_overlap * case.largest_radius, (case.pair, case.radius_eff, case.mass_eff, velocity)
+        hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
+        spring = law.loading_stiffness(*arguments) * overlap + law.viscosity(*arguments) * velocity
+        force, energy = max(force, hertz, spring), max(energy, max(hertz, spring) * overlap)
+    force_scale, radius_scale = _power_of_two(force), _power_of_two(radius)
+    impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS
+    return SumUnits(
+        force=force_scale / 2.0**FORCE_BITS,
+        torque=force_scale * radius_scale / 2.0**FORCE_BITS,
+        energy=_power_of_two(energy) / 2.0**ENERGY_BITS,
+        impulse=impulse,
+        angular_impulse=impulse * _power_of_two(size),
+        wall_force=force_scale / 2.0**WALL_BITS,
+    )
+
+
+def _power_of_two(value: float) -> float:
+    """Smallest power of two not below a positive value."""
+    return 2.0 ** ceil(log2(value))
