@@ -45,7 +45,7 @@ from granflow.plan.travel import STEP_SHARE
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema.domain import Domain
-from granflow.scene.schema.expect import ExpectationSpec
+from granflow.scene.schema.expect import Expectation
 from granflow.scene.schema.output import Output
 from granflow.scene.schema.run import Precision
 
@@ -78,7 +78,7 @@ class Plan:
     output: Output
     flow_meter_parts: Mapping[str, tuple[str, ...]]
     """Names of the materials or groups with separate counts, by name of the flow meter."""
-    expectations: tuple[ExpectationSpec, ...]
+    expectations: tuple[Expectation, ...]
     gravity: tuple[float, float, float]
     """Gravity [m/s2]."""
     max_overlap: float

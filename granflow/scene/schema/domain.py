@@ -8,7 +8,8 @@ from pydantic import Field
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import ListOf, Model
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box
 

@@ -6,10 +6,11 @@ from typing import Annotated
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Flag, Model, Text, missing, pair_list, whole
+from granflow.scene.schema.faults import Fault, missing, whole
+from granflow.scene.schema.fields import Flag, Model, Text, pair_list
 
 
-class ExpectationSpec(Model):
+class Expectation(Model):
     """An expectation for the results of a run: one comparison of one quantity, in SI units.
 
     The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and groups.

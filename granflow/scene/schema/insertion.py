@@ -6,15 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import (
-    Fault,
-    ListOf,
-    Model,
-    choose_by_first_key,
-    choose_by_key,
-    redundant,
-    whole,
-)
+from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.fields import ListOf, Model, choose_by_first_key, choose_by_key
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, Rectangular
 
@@ -44,7 +37,7 @@ Region = Annotated[
 class LatticeInsertion(Model):
     """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits."""
 
-    kind: Literal["lattice"] = Field(description="kind of insertion")
+    kind: Literal["lattice"] = Field("lattice", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
     jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
 
@@ -52,7 +45,7 @@ class LatticeInsertion(Model):
 class PackInsertion(Model):
     """Particles in a random packing without overlap in a region; solid fraction up to about 0.55."""
 
-    kind: Literal["pack"] = Field(description="kind of insertion")
+    kind: Literal["pack"] = Field("pack", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
 
 
@@ -86,7 +79,7 @@ class RainInsertion(TimedInsertion):
     Particles without a free position are queued and inserted first in the next batch. Walls are not considered.
     """
 
-    kind: Literal["rain"] = Field(description="kind of insertion")
+    kind: Literal["rain"] = Field("rain", description="kind of insertion")
     region: Region = Field(description="region of the insertion: a box or a cylinder")
 
 
@@ -133,7 +126,7 @@ class InletInsertion(TimedInsertion):
     The positions are random; particles without a free position are queued.
     """
 
-    kind: Literal["inlet"] = Field(description="kind of insertion")
+    kind: Literal["inlet"] = Field("inlet", description="kind of insertion")
     face: Face = Field(description="face of the inlet: a rectangle or a disc")
 
 
@@ -156,7 +149,7 @@ class FileInsertion(Model):
     column, the group gets the rows of its material.
     """
 
-    kind: Literal["file"] = Field(description="kind of insertion")
+    kind: Literal["file"] = Field("file", description="kind of insertion")
     file: FileBelow = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
 
@@ -164,7 +157,7 @@ class FileInsertion(Model):
 class PositionsInsertion(Model):
     """Particles at given positions."""
 
-    kind: Literal["positions"] = Field(description="kind of insertion")
+    kind: Literal["positions"] = Field("positions", description="kind of insertion")
     positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
 
 

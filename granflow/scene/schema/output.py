@@ -8,10 +8,11 @@ from pydantic import Field
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.analysis import AnyMetric, FieldGrid
-from granflow.scene.schema.fields import Fault, Flag, FlagOrNames, Model, Name, redundant
+from granflow.scene.schema.faults import Fault, redundant
+from granflow.scene.schema.fields import Flag, FlagOrNames, Model, Name
 
 
-class FlowMeterSpec(Model):
+class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
 
     Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
@@ -71,7 +72,7 @@ class Output(Model):
         False,
         description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
     )
-    flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
+    flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints.model_construct(), description="interval and number of checkpoints")

@@ -8,7 +8,8 @@ from pydantic import Field, Tag, model_validator
 
 from granflow.scene.document import KeyPath
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Flag, Model, Text, choose_by, missing, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import Flag, Model, Text, choose_by
 from granflow.scene.schema.insertion import Insertion
 from granflow.scene.schema.sizes import Sizes, SizeSpec
 

@@ -9,7 +9,8 @@ from pydantic import AfterValidator, Field
 
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, FileName, Model, require
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import FileName, Model, require
 
 
 def _is_below_folder(name: str) -> bool:

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model, choose_by_key
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import ListOf, Model, choose_by_key
 from granflow.scene.schema.numbers import whole_error
 
 _ROUNDING = 1e-12  # tolerance of the sum of fractions
@@ -32,13 +33,13 @@ class TruncatedSizes(Model):
 class UniformSizes(TruncatedSizes):
     """Uniformly distributed diameters from `min` to `max` [m]."""
 
-    distribution: Literal["uniform"] = Field(description="kind of size distribution")
+    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
 
 
 class NormalSizes(TruncatedSizes):
     """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
 
-    distribution: Literal["normal"] = Field(description="kind of size distribution")
+    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
     mean: q.Diameter = Field(description="mean diameter before truncation [m]")
     deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
 
@@ -50,7 +51,7 @@ class NormalSizes(TruncatedSizes):
 class LogNormalSizes(TruncatedSizes):
     """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
 
-    distribution: Literal["log_normal"] = Field(description="kind of size distribution")
+    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
     median: q.Diameter = Field(description="median diameter before truncation [m]")
     sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
 
@@ -89,7 +90,7 @@ class ClassSizes(Model):
     The number of particles of each class is exact to one particle.
     """
 
-    distribution: Literal["classes"] = Field(description="kind of size distribution")
+    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
     by: Literal["number", "mass"] = Field(
         description="number: fractions of the particle count; mass: fractions of the mass"
     )

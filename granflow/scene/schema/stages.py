@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Model, Name, missing, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import Model, Name
 
 
 class Stage(Model):

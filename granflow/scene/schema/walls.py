@@ -6,16 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import (
-    Fault,
-    ListOf,
-    Model,
-    Names,
-    Text,
-    choose_by_key,
-    redundant,
-    whole,
-)
+from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.fields import ListOf, Model, Names, Text, choose_by_key
 from granflow.scene.schema.motions import MotionSpec
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular
@@ -56,7 +48,7 @@ class Plane(Wall):
     Its area is infinite: it has forces, but no pressure.
     """
 
-    shape: Literal["plane"] = Field(description="shape of the wall")
+    shape: Literal["plane"] = Field("plane", description="shape of the wall")
     point: q.Point = Field(description="a point on the plane [m]")
     normal: q.Direction = Field(description="normal, toward the particles; its length does not matter")
 
@@ -64,7 +56,7 @@ class Plane(Wall):
 class Rectangle(Rectangular, Wall):
     """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
 
-    shape: Literal["rectangle"] = Field(description="shape of the wall")
+    shape: Literal["rectangle"] = Field("rectangle", description="shape of the wall")
 
 
 class AxialWall(Axial, Wall):
@@ -74,14 +66,14 @@ class AxialWall(Axial, Wall):
 class Cylinder(AxialWall):
     """A thin two-sided cylinder without end faces, with the length of the axis."""
 
-    shape: Literal["cylinder"] = Field(description="shape of the wall")
+    shape: Literal["cylinder"] = Field("cylinder", description="shape of the wall")
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
     """A thin two-sided cone frustum without end faces; one radius may be 0."""
 
-    shape: Literal["cone"] = Field(description="shape of the wall")
+    shape: Literal["cone"] = Field("cone", description="shape of the wall")
     radius_from: q.NotNegativeLength = Field(description="radius at `from` [m]")
     radius_to: q.NotNegativeLength = Field(description="radius at `to` [m]")
 
@@ -95,7 +87,7 @@ class Cone(AxialWall):
 class Disc(Wall):
     """A thin, two-sided disc, optionally with a circular hole at its center."""
 
-    shape: Literal["disc"] = Field(description="shape of the wall")
+    shape: Literal["disc"] = Field("disc", description="shape of the wall")
     center: q.Point = Field(description="center [m]")
     normal: q.Direction = Field(description="normal; its length and sign do not matter")
     radius: q.PositiveLength = Field(description="outer radius [m]")
@@ -121,7 +113,7 @@ class MeshWall(Wall):
     The orientation of the triangles has no effect; open edges are valid.
     """
 
-    shape: Literal["mesh"] = Field(description="shape of the wall")
+    shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
     file: FileBelow = Field(
         description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene, without .."
     )
