@@ -162,6 +162,9 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and in SI units.
 
     Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
+
+    >>> gf.load_scene("two.yaml", ["run.duration=5 ms"]).run.duration
+    0.005
     """
     written = scene_in(document_in(Path(path)), overrides, Path(path).parent)
     written._path = Path(path)

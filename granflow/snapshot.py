@@ -67,6 +67,10 @@ class Snapshot:
                 [N s] of the particles on the wall
 
     All arrays and mappings are read-only.
+
+    >>> snapshot = gf.read_run("out/two").frames[-1]
+    >>> snapshot.particles["position"].shape, snapshot.stage
+    ((2, 3), 'run')
     """
 
     time: float

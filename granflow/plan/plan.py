@@ -62,6 +62,9 @@ class Plan:
 
     Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`: particles
     per unit of work of a thread. `build.plan_for` creates plans.
+
+    >>> gf.plan_for(gf.load_scene("two.yaml")).title
+    'Two steel spheres'
     """
 
     title: str

@@ -33,6 +33,10 @@ class Result:
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
     `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
     inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
+
+    >>> result = gf.read_run("out/two").result
+    >>> result.totals["particle_count"], result.numbers["simulated_time"] == result.run["simulated_time"]
+    (2, True)
     """
 
     run: Mapping[str, float]

@@ -190,7 +190,10 @@ def test_thinned_curve_keeps_peaks_and_ends():
 
 def test_plot_json_cannot_close_its_script_element():
     group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
-    plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
+    plot = plot_of(
+        group,
+        TimeSeriesTable(np.array([0.0, 1.0, 2.0]), np.array(["a", "b", "b"]), group.columns, ((0.0, "a"), (0.1, "b"))),
+    )
     assert plot.figure["data"][0]["x"] == [0.0, 2.0]
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
     html = environment().get_template("macros.html").module.plot(plot)

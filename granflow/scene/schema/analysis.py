@@ -53,6 +53,9 @@ class FieldGrid(GridSpec):
 
     Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
     Formulas: docs/pages/guides/coarse_graining.md.
+
+    >>> gf.FieldGrid(cell="5 mm", quantities=["density", "velocity"]).quantities
+    ('density', 'velocity')
     """
 
     width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
@@ -76,6 +79,9 @@ class LaceyMetric(GridSpec):
     """Lacey mixing index of the particles of some groups, materials or sizes among all particles.
 
     0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+
+    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
+    0.01
     """
 
     kind: Literal["lacey"] = Field("lacey", description="kind of metric")
@@ -99,6 +105,9 @@ class ReposeMetric(Model):
     """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
 
     The angle is that of a line or plane fitted to the tops of the highest particles.
+
+    >>> gf.ReposeMetric(surface="cone")
+    ReposeMetric(surface='cone')
     """
 
     kind: Literal["repose"] = Field("repose", description="kind of metric")
@@ -120,6 +129,9 @@ class FabricMetric(Model):
     """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
 
     (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+
+    >>> gf.FabricMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
+    'fabric'
     """
 
     kind: Literal["fabric"] = Field("fabric", description="kind of metric")
@@ -130,6 +142,9 @@ class CoordinationMetric(Model):
     """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with walls.
 
     (C. Thornton, Geotechnique 50 (2000) 43.)
+
+    >>> gf.CoordinationMetric()
+    CoordinationMetric()
     """
 
     kind: Literal["coordination"] = Field("coordination", description="kind of metric")
@@ -137,21 +152,33 @@ class CoordinationMetric(Model):
 
 
 class ContentMetric(Model):
-    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box."""
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box.
+
+    >>> gf.ContentMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).region.max
+    (0.1, 0.1, 0.1)
+    """
 
     kind: Literal["content"] = Field("content", description="kind of metric")
     region: Box = Field(description="box whose particles are counted")
 
 
 class CenterOfMassMetric(Model):
-    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions."""
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions.
+
+    >>> gf.CenterOfMassMetric(groups=["red"])
+    CenterOfMassMetric(groups=('red',))
+    """
 
     kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
 
 
 class SlidingMetric(Model):
-    """Share of the contacts whose friction force is at the Coulomb limit."""
+    """Share of the contacts whose friction force is at the Coulomb limit.
+
+    >>> gf.SlidingMetric(walls=["floor"])
+    SlidingMetric(walls=('floor',))
+    """
 
     kind: Literal["sliding"] = Field("sliding", description="kind of metric")
     walls: Names | None = Field(

@@ -38,6 +38,9 @@ class Vibration(TimedMotion):
 
     The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
     oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
+
+    >>> gf.Vibration(direction=[0, 0, 1], amplitude="2 mm", frequency="25 Hz")
+    Vibration(direction=(0.0, 0.0, 1.0), amplitude=0.002, frequency=25.0)
     """
 
     kind: Literal["vibration"] = Field("vibration", description="kind of motion")
@@ -80,7 +83,11 @@ class Vibration(TimedMotion):
 
 
 class Translation(TimedMotion):
-    """Motion at a constant velocity [m/s]."""
+    """Motion at a constant velocity [m/s].
+
+    >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
+    Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
+    """
 
     kind: Literal["translation"] = Field("translation", description="kind of motion")
     velocity: q.VelocityVector = Field(description="velocity [m/s]")
@@ -90,6 +97,9 @@ class Rotation(TimedMotion):
     """Rotation about an axis at a constant rate, right-handed.
 
     The torque on the wall refers to `point`.
+
+    >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
+    3.141592653589793
     """
 
     kind: Literal["rotation"] = Field("rotation", description="kind of motion")
@@ -104,6 +114,9 @@ class Servo(TimedMotion):
         v = gain (F - f),      |v| <= velocity_max
 
     F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
+
+    >>> gf.Servo(direction=[0, 0, -1], pressure="2 kPa", velocity_max="1 m/s").pressure
+    2000.0
     """
 
     kind: Literal["servo"] = Field("servo", description="kind of motion")
@@ -132,6 +145,9 @@ class FreeWall(TimedMotion):
         M dv/dt = f + M g + force - damping v
 
     f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
+
+    >>> gf.FreeWall(direction=[0, 0, 1], mass="200 g").mass
+    0.2
     """
 
     kind: Literal["free"] = Field("free", description="kind of motion")

@@ -16,6 +16,9 @@ class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
 
     Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+
+    >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
+    0.02
     """
 
     point: q.Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
@@ -44,6 +47,9 @@ class Checkpoints(Model):
     """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
 
     A checkpoint is due at simulated or wall-clock times, whichever is first.
+
+    >>> gf.Checkpoints(wall_clock="5 min").wall_clock
+    300.0
     """
 
     wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
@@ -57,6 +63,9 @@ class Output(Model):
     """Selection and intervals of the output.
 
     Times are simulated times [s]; the energy budget and wall forces cost time in each step.
+
+    >>> gf.Output(interval="5 ms", contacts=True).timeseries_interval
+    0.005
     """
 
     interval: q.PositiveTime = Field(description="time between VTU frames [s]")

@@ -38,6 +38,10 @@ class Group(Model):
 
     Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
     give an end time instead. Of several limits, the smallest number of particles applies.
+
+    >>> insertion = gf.PositionsInsertion(positions=[[0, 0, 0], [0, 0, 0.1]])
+    >>> gf.Group(material="glass", diameter="4 mm", insert=insertion).count
+    2
     """
 
     material: Text = Field(description="name of the particles' material")

@@ -31,13 +31,21 @@ class TruncatedSizes(Model):
 
 
 class UniformSizes(TruncatedSizes):
-    """Uniformly distributed diameters from `min` to `max` [m]."""
+    """Uniformly distributed diameters from `min` to `max` [m].
+
+    >>> gf.UniformSizes(min="3 mm", max="5 mm")
+    UniformSizes(min=0.003, max=0.005)
+    """
 
     distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
 
 
 class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
+    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
+    0.004
+    """
 
     distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
     mean: q.Diameter = Field(description="mean diameter before truncation [m]")
@@ -49,7 +57,11 @@ class NormalSizes(TruncatedSizes):
 
 
 class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
+    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
+    0.2
+    """
 
     distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
     median: q.Diameter = Field(description="median diameter before truncation [m]")
@@ -61,7 +73,11 @@ class LogNormalSizes(TruncatedSizes):
 
 
 class SizeClass(Model):
-    """One diameter and its fraction of all particles."""
+    """One diameter and its fraction of all particles.
+
+    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
+    SizeClass(diameter=0.004, fraction=0.5)
+    """
 
     diameter: q.Diameter = Field(description="diameter [m]")
     fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
@@ -88,6 +104,10 @@ class ClassSizes(Model):
     """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
 
     The number of particles of each class is exact to one particle.
+
+    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
+    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
+    0.75
     """
 
     distribution: Literal["classes"] = Field("classes", description="kind of size distribution")

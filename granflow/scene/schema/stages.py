@@ -13,6 +13,9 @@ class Stage(Model):
     """A part of the run that ends after a duration, or when the particles are at rest.
 
     Walls and motions may be limited to stages.
+
+    >>> gf.Stage(name="settle", kinetic_energy_below="1 nJ", max_duration="2 s").max_duration
+    2.0
     """
 
     name: Name = Field(description="name of the stage")

@@ -46,6 +46,9 @@ class Plane(Wall):
     """An infinite plane; the half space behind it is solid, the particles are on the side of the normal.
 
     Its area is infinite: it has forces, but no pressure.
+
+    >>> gf.Plane(material="steel", point=[0, 0, 0], normal=[0, 0, 1])
+    Plane(material='steel', point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     """
 
     shape: Literal["plane"] = Field("plane", description="shape of the wall")
@@ -54,7 +57,11 @@ class Plane(Wall):
 
 
 class Rectangle(Rectangular, Wall):
-    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
+    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m].
+
+    >>> gf.Rectangle(material="steel", corner=[0, 0, 0], sides=[["5 cm", 0, 0], [0, "5 cm", 0]]).sides
+    ((0.05, 0.0, 0.0), (0.0, 0.05, 0.0))
+    """
 
     shape: Literal["rectangle"] = Field("rectangle", description="shape of the wall")
 
@@ -64,14 +71,22 @@ class AxialWall(Axial, Wall):
 
 
 class Cylinder(AxialWall):
-    """A thin two-sided cylinder without end faces, with the length of the axis."""
+    """A thin two-sided cylinder without end faces, with the length of the axis.
+
+    >>> gf.Cylinder(material="steel", from_=[0, 0, 0], to=[0, 0, "20 cm"], radius="5 cm").radius
+    0.05
+    """
 
     shape: Literal["cylinder"] = Field("cylinder", description="shape of the wall")
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
-    """A thin two-sided cone frustum without end faces; one radius may be 0."""
+    """A thin two-sided cone frustum without end faces; one radius may be 0.
+
+    >>> gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5 cm").radius_to
+    0.05
+    """
 
     shape: Literal["cone"] = Field("cone", description="shape of the wall")
     radius_from: q.NotNegativeLength = Field(description="radius at `from` [m]")
@@ -85,7 +100,11 @@ class Cone(AxialWall):
 
 
 class Disc(Wall):
-    """A thin, two-sided disc, optionally with a circular hole at its center."""
+    """A thin, two-sided disc, optionally with a circular hole at its center.
+
+    >>> gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1 cm").hole_radius
+    0.01
+    """
 
     shape: Literal["disc"] = Field("disc", description="shape of the wall")
     center: q.Point = Field(description="center [m]")
@@ -101,7 +120,11 @@ class Disc(Wall):
 
 
 class RotationStep(Model):
-    """A right-handed rotation about an axis through the origin."""
+    """A right-handed rotation about an axis through the origin.
+
+    >>> gf.RotationStep(axis=[1, 0, 0], angle="90 deg")
+    RotationStep(axis=(1.0, 0.0, 0.0), angle=1.5707963267948966)
+    """
 
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angle: q.Angle = Field(description="angle [rad], such as 90 deg")
@@ -111,6 +134,9 @@ class MeshWall(Wall):
     """Two-sided triangles from a file, transformed in this order: scale, rotate, translate.
 
     The orientation of the triangles has no effect; open edges are valid.
+
+    >>> gf.MeshWall(material="steel", file="meshes/bowl.stl", scale=0.001).file
+    'meshes/bowl.stl'
     """
 
     shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
