@@ -69,7 +69,7 @@ class Run:
 
     >>> import granflow as gf
     >>> run = gf.read_run("out/two")
-    >>> run.status, run.scene.gravity, run.result.run["simulated_time"]
+    >>> run.status, run.scene.gravity, round(run.time, 3)
     ('complete', (0.0, 0.0, 0.0), 0.02)
     """
 

@@ -16,7 +16,7 @@ class Columns(Mapping[str, np.ndarray]):
 
     >>> import granflow as gf
     >>> columns = gf.read_run("out/two").timeseries_arrays
-    >>> float(columns["time"][-1]), columns.units["kinetic_energy"]
+    >>> round(columns["time"][-1].item(), 3), columns.units["kinetic_energy"]
     (0.02, 'J')
     """
 
