@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from granflow.engine.backend import start
-    from granflow.errors import GranflowError, RunError, SceneError
+    from granflow.errors import GranflowError, OutputError, RunError, SceneError
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
@@ -21,7 +21,44 @@ if TYPE_CHECKING:
     from granflow.plan.explain import explain
     from granflow.plan.memory_estimate import estimate_memory
     from granflow.plan.plan import Plan
+    from granflow.runs.read_run import Run, read_run
+    from granflow.runs.result import Result
     from granflow.scene.registration import register_contact_model
+    from granflow.scene.schema.analysis import (
+        CenterOfMassMetric,
+        ContentMetric,
+        CoordinationMetric,
+        FabricMetric,
+        FieldGrid,
+        LaceyMetric,
+        ReposeMetric,
+        SlidingMetric,
+    )
+    from granflow.scene.schema.contact import Contact
+    from granflow.scene.schema.domain import Domain, LeesEdwards
+    from granflow.scene.schema.expect import Expectation
+    from granflow.scene.schema.insertion import (
+        BoxRegion,
+        CylinderRegion,
+        DiscFace,
+        FileInsertion,
+        InletInsertion,
+        LatticeInsertion,
+        PackInsertion,
+        PositionsInsertion,
+        RainInsertion,
+        RectangleFace,
+    )
+    from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
+    from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation, Vibration
+    from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
+    from granflow.scene.schema.output import Checkpoints, FlowMeter, Output
+    from granflow.scene.schema.particles import Group
+    from granflow.scene.schema.run import Numerics, RunSettings
+    from granflow.scene.schema.shapes import Box
+    from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
+    from granflow.scene.schema.stages import Stage
+    from granflow.scene.schema.walls import Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
     from granflow.studies.calibration.calibrate import calibrate
@@ -38,14 +75,70 @@ os.environ.setdefault("HOME", os.path.expanduser("~"))
 modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 __all__ = [
+    "Box",
+    "BoxOutlet",
+    "BoxRegion",
+    "CenterOfMassMetric",
+    "Checkpoints",
+    "ClassSizes",
+    "Cone",
+    "Contact",
+    "ContentMetric",
+    "CoordinationMetric",
+    "Cylinder",
+    "CylinderRegion",
+    "Disc",
+    "DiscFace",
+    "DiscOutlet",
+    "Domain",
+    "Expectation",
+    "FabricMetric",
+    "FieldGrid",
+    "FileInsertion",
+    "FlowMeter",
+    "FreeWall",
     "GranflowError",
+    "Group",
+    "HalfSpaceOutlet",
+    "InletInsertion",
+    "LaceyMetric",
+    "LatticeInsertion",
+    "LeesEdwards",
+    "LogNormalSizes",
+    "Material",
+    "MaterialPair",
+    "MeshWall",
+    "NormalSizes",
+    "Numerics",
+    "Output",
+    "OutputError",
+    "PackInsertion",
     "ParticleData",
     "Plan",
+    "Plane",
+    "PositionsInsertion",
+    "RainInsertion",
+    "Rectangle",
+    "RectangleFace",
+    "ReposeMetric",
+    "RestitutionFit",
+    "Result",
+    "Rotation",
+    "RotationStep",
+    "Run",
     "RunError",
+    "RunSettings",
     "Scene",
     "SceneError",
+    "Servo",
     "Simulation",
+    "SizeClass",
+    "SlidingMetric",
     "Snapshot",
+    "Stage",
+    "Translation",
+    "UniformSizes",
+    "Vibration",
     "analyze_snapshots",
     "calibrate",
     "estimate_memory",
@@ -53,6 +146,7 @@ __all__ = [
     "load_scene",
     "on_interval",
     "plan_for",
+    "read_run",
     "register_contact_model",
     "start",
     "steady_flow",
@@ -60,14 +154,71 @@ __all__ = [
 ]
 
 _LOCATIONS = {
+    "Box": "granflow.scene.schema.shapes:Box",
+    "BoxOutlet": "granflow.scene.schema.outlets:BoxOutlet",
+    "BoxRegion": "granflow.scene.schema.insertion:BoxRegion",
+    "CenterOfMassMetric": "granflow.scene.schema.analysis:CenterOfMassMetric",
+    "Checkpoints": "granflow.scene.schema.output:Checkpoints",
+    "ClassSizes": "granflow.scene.schema.sizes:ClassSizes",
+    "Cone": "granflow.scene.schema.walls:Cone",
+    "Contact": "granflow.scene.schema.contact:Contact",
+    "ContentMetric": "granflow.scene.schema.analysis:ContentMetric",
+    "CoordinationMetric": "granflow.scene.schema.analysis:CoordinationMetric",
+    "Cylinder": "granflow.scene.schema.walls:Cylinder",
+    "CylinderRegion": "granflow.scene.schema.insertion:CylinderRegion",
+    "Disc": "granflow.scene.schema.walls:Disc",
+    "DiscFace": "granflow.scene.schema.insertion:DiscFace",
+    "DiscOutlet": "granflow.scene.schema.outlets:DiscOutlet",
+    "Domain": "granflow.scene.schema.domain:Domain",
+    "Expectation": "granflow.scene.schema.expect:Expectation",
+    "FabricMetric": "granflow.scene.schema.analysis:FabricMetric",
+    "FieldGrid": "granflow.scene.schema.analysis:FieldGrid",
+    "FileInsertion": "granflow.scene.schema.insertion:FileInsertion",
+    "FlowMeter": "granflow.scene.schema.output:FlowMeter",
+    "FreeWall": "granflow.scene.schema.motions:FreeWall",
     "GranflowError": "granflow.errors:GranflowError",
+    "Group": "granflow.scene.schema.particles:Group",
+    "HalfSpaceOutlet": "granflow.scene.schema.outlets:HalfSpaceOutlet",
+    "InletInsertion": "granflow.scene.schema.insertion:InletInsertion",
+    "LaceyMetric": "granflow.scene.schema.analysis:LaceyMetric",
+    "LatticeInsertion": "granflow.scene.schema.insertion:LatticeInsertion",
+    "LeesEdwards": "granflow.scene.schema.domain:LeesEdwards",
+    "LogNormalSizes": "granflow.scene.schema.sizes:LogNormalSizes",
+    "Material": "granflow.scene.schema.materials:Material",
+    "MaterialPair": "granflow.scene.schema.materials:MaterialPair",
+    "MeshWall": "granflow.scene.schema.walls:MeshWall",
+    "NormalSizes": "granflow.scene.schema.sizes:NormalSizes",
+    "Numerics": "granflow.scene.schema.run:Numerics",
+    "Output": "granflow.scene.schema.output:Output",
+    "OutputError": "granflow.errors:OutputError",
+    "PackInsertion": "granflow.scene.schema.insertion:PackInsertion",
     "ParticleData": "granflow.particles.particle_data:ParticleData",
     "Plan": "granflow.plan.plan:Plan",
+    "Plane": "granflow.scene.schema.walls:Plane",
+    "PositionsInsertion": "granflow.scene.schema.insertion:PositionsInsertion",
+    "RainInsertion": "granflow.scene.schema.insertion:RainInsertion",
+    "Rectangle": "granflow.scene.schema.walls:Rectangle",
+    "RectangleFace": "granflow.scene.schema.insertion:RectangleFace",
+    "ReposeMetric": "granflow.scene.schema.analysis:ReposeMetric",
+    "RestitutionFit": "granflow.scene.schema.materials:RestitutionFit",
+    "Result": "granflow.runs.result:Result",
+    "Rotation": "granflow.scene.schema.motions:Rotation",
+    "RotationStep": "granflow.scene.schema.walls:RotationStep",
+    "Run": "granflow.runs.read_run:Run",
     "RunError": "granflow.errors:RunError",
+    "RunSettings": "granflow.scene.schema.run:RunSettings",
     "Scene": "granflow.load:Scene",
     "SceneError": "granflow.errors:SceneError",
+    "Servo": "granflow.scene.schema.motions:Servo",
     "Simulation": "granflow.simulation:Simulation",
+    "SizeClass": "granflow.scene.schema.sizes:SizeClass",
+    "SlidingMetric": "granflow.scene.schema.analysis:SlidingMetric",
     "Snapshot": "granflow.snapshot:Snapshot",
+    "Stage": "granflow.scene.schema.stages:Stage",
+    "Translation": "granflow.scene.schema.motions:Translation",
+    "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
+    "Vibration": "granflow.scene.schema.motions:Vibration",
+    "__version__": "importlib.metadata:version",
     "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate:calibrate",
     "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",
@@ -75,11 +226,11 @@ _LOCATIONS = {
     "load_scene": "granflow.load:load",
     "on_interval": "granflow.observers.interval:on_interval",
     "plan_for": "granflow.plan.build:plan_for",
+    "read_run": "granflow.runs.read_run:read_run",
+    "register_contact_model": "granflow.scene.registration:register_contact_model",
     "start": "granflow.engine.backend:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
     "sweep": "granflow.studies.sweep.sweep:sweep",
-    "register_contact_model": "granflow.scene.registration:register_contact_model",
-    "__version__": "importlib.metadata:version",
 }
 """Module and attribute of each public name."""
 

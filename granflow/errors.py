@@ -7,6 +7,12 @@ class GranflowError(Exception):
     """An error that the user can correct. The command line prints the message and exits with `exit_code`.
 
     Exit codes: 2 invalid input or request, 3 aborted run (RunError), 4 files that cannot be written (OutputError).
+
+    >>> try:
+    ...     gf.read_run("none")
+    ... except gf.GranflowError as error:
+    ...     print(error)
+    none: there is no such directory; give the directory of a run, such as out/hopper.
     """
 
     exit_code = 2
@@ -26,16 +32,34 @@ class FileError(GranflowError):
 
 
 class SceneError(FileError):
-    """An invalid scene; its problems have the form `file:line:column: sentence`."""
+    """An invalid scene; its problems have the form `file:line:column: sentence`.
+
+    >>> try:
+    ...     gf.Material(young_modulus="70 GPa", poisson_ratio=0.7, density=2500)
+    ... except gf.SceneError as error:
+    ...     print(error.problems[0])
+    poisson_ratio is 0.7, but a Poisson ratio must be above -1 and at most 0.5.
+    """
 
 
 class OutputError(GranflowError):
-    """Files of a run could not be written; the message gives the file, the reason and the last checkpoint."""
+    """Files of a run could not be written; the message gives the file, the reason and the last checkpoint.
+
+    >>> try:
+    ...     gf.load_scene("two.yaml").save("none/two.yaml")
+    ... except gf.OutputError as error:
+    ...     print(error)
+    none/two.yaml cannot be written: No such file or directory; give a file in an existing folder.
+    """
 
     exit_code = 4
 
 
 class RunError(GranflowError):
-    """A run was aborted; the message gives position, time, probable cause and remedy."""
+    """A run was aborted; the message gives position, time, probable cause and remedy.
+
+    >>> issubclass(gf.RunError, gf.GranflowError), gf.RunError.exit_code
+    (True, 3)
+    """
 
     exit_code = 3

@@ -1,19 +1,23 @@
 """Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from granflow.errors import SceneError
+from granflow.errors import GranflowError, OutputError, SceneError
+from granflow.io.atomic_files import write_text
 from granflow.io.regular_files import resolved
 from granflow.particles.resolve import resolved_input
 from granflow.scene.document import DocumentError
 from granflow.scene.mapping import document_of
 from granflow.scene.reader import document_in, scene_in
+from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.run import Precision
 from granflow.scene.schema.scene import SceneInput
+from granflow.scene.schema.walls import MeshWall
 from granflow.scene.yaml12 import parse
+from granflow.visible_text import html_table, numbered, visible_line
 
 
 class FrozenDict(dict[str, Any]):
@@ -32,8 +36,35 @@ class FrozenDict(dict[str, Any]):
 class Scene(SceneInput):
     """A validated and resolved scene, ready for a run: SI units, all counts known, at scale 1. Immutable.
 
-    `load` and `from_dict` create scenes. A copy with other values (`model_copy`) is neither validated nor resolved.
+    The arguments are the keys of a scene file. Values: numbers in SI units or text with units, lists, numpy arrays,
+    mappings, and blocks such as `granflow.Material` or `granflow.Cylinder`. Paths in the scene are relative to `folder`
+    (default: the working directory). `granflow.load_scene` reads a file. A copy with other values (`model_copy`) is
+    neither validated nor resolved. Raises SceneError with all problems, each with its key path.
+
+    >>> import granflow as gf
+    >>> scene = gf.Scene(
+    ...     title="Falling sphere",
+    ...     gravity=[0, 0, -9.81],
+    ...     materials={"glass": gf.Material(young_modulus="60 MPa", poisson_ratio=0.25, density=2500)},
+    ...     pairs={"glass-glass": gf.MaterialPair(restitution=0.9, friction=0.5)},
+    ...     contact=gf.Contact(normal="zhou", tangential="mindlin", rolling="none"),
+    ...     walls={"floor": gf.Plane(material="glass", point=[0, 0, 0], normal=[0, 0, 1])},
+    ...     particles={
+    ...         "balls": gf.Group(
+    ...             material="glass", diameter="4 mm", insert=gf.PositionsInsertion(positions=[[0, 0, 0.01]])
+    ...         )
+    ...     },
+    ...     domain=gf.Domain(min=[-0.1, -0.1, -0.1], max=[0.1, 0.1, 0.1], on_exit="delete"),
+    ...     run=gf.RunSettings(duration="50 ms"),
+    ...     output=gf.Output(interval="5 ms"),
+    ... )
+    >>> scene
+    <Scene "Falling sphere": 1 particle in 1 group, 1 wall, zhou contacts, at most 0.05 s>
     """
+
+    def __init__(self, *, folder: str | os.PathLike[str] | None = None, **blocks: Any) -> None:
+        # A resolved scene is a copy of a validated one, so that this instance takes over the contents.
+        self.__setstate__(Scene.from_dict(blocks, folder).__getstate__())
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> "Scene":
@@ -61,6 +92,64 @@ class Scene(SceneInput):
             scene = scene.model_copy(update={"start_from": str(_earlier_run(scene))})
         return scene
 
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the scene as YAML with all defaults, in SI units; `load_scene` reads an equal scene from the file.
+
+        Replaces an existing file. Mesh and particle files are not copied: their paths are relative to the folder of the
+        scene. Returns the path. Raises OutputError if the file cannot be written, and GranflowError if an input file of
+        the scene does not exist in the folder of `path`.
+
+        >>> import granflow as gf
+        >>> scene = gf.load_scene("hopper.yaml", ["particles.beads.count=500"])
+        >>> gf.load_scene(scene.save("small.yaml")) == scene
+        True
+        """
+        target = Path(path)
+        for key, name in self.input_names():
+            if not (target.parent / name).is_file():
+                raise GranflowError(
+                    f"{target}: {key} is {name}, which does not exist in {target.parent}: copy it there from "
+                    f"{self.folder}, or save the scene in that folder."
+                )
+        try:
+            write_text(target, self.to_yaml())
+        except OSError as error:
+            raise OutputError(
+                f"{target} cannot be written: {error.strerror}; give a file in an existing folder."
+            ) from None
+        return target
+
+    def input_names(self) -> Iterator[tuple[str, str]]:
+        """Yield key and path of each mesh and particle file; paths are relative to the folder of the scene."""
+        for name, wall in self.walls.items():
+            if isinstance(wall, MeshWall):
+                yield f"walls.{name}.file", wall.file
+        for name, group in self.particles.items():
+            if isinstance(group.insert, FileInsertion):
+                yield f"particles.{name}.insert.file", group.insert.file
+
+    def __repr__(self) -> str:
+        """One line: title, numbers of particles and walls, contact model, longest duration [s]."""
+        return f'<Scene "{visible_line(self.title)}": {", ".join(text for _, text in self._summary())}>'
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Table of the scene for notebooks."""
+        return html_table(self.title, self._summary())
+
+    def _summary(self) -> list[tuple[str, str]]:
+        """Rows of the displays of a scene: label and text."""
+        count = sum(group.count for group in self.particles.values())
+        longest = sum(stage.duration or stage.max_duration or 0.0 for stage in self.schedule)
+        stages = f" in {len(self.stages)} stages" if self.stages else ""
+        return [
+            ("particles", f"{numbered(count, 'particle')} in {numbered(len(self.particles), 'group')}"),
+            ("walls", numbered(len(self.walls), "wall")),
+            ("contact", f"{self.contact.name('normal')} contacts"),
+            ("duration", f"at most {longest:g} s{stages}"),
+        ]
+
     def with_precision(self, precision: Precision) -> "Scene":
         """The same scene with another floating-point precision."""
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
@@ -73,6 +162,9 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     "key.path=value", replaces or adds a value (YAML) before validation. The result is immutable and in SI units.
 
     Raises SceneError with all problems in the order of the file, each with line and column, at most 100.
+
+    >>> gf.load_scene("two.yaml", ["run.duration=5 ms"]).run.duration
+    0.005
     """
     written = scene_in(document_in(Path(path)), overrides, Path(path).parent)
     written._path = Path(path)

@@ -31,6 +31,7 @@ from granflow.runs.stage_progress import REST_CHECKS
 from granflow.runs.step_batches import StepBatches
 from granflow.runs.timings import WallClock, collect_result, log_plan
 from granflow.snapshot import Snapshot
+from granflow.visible_text import visible_line
 
 
 class Simulation:
@@ -300,3 +301,9 @@ class Simulation:
     def free(self) -> None:
         """Release the device memory; the simulation cannot continue afterwards."""
         self.engine.free()
+
+    def __repr__(self) -> str:
+        """One line: title, simulated time [s], steps, stage."""
+        stage = f", stage {self.stage}" if self.stage else ""
+        state = f"{self.time:.4g} s, step {self.engine.step_count}{stage}"
+        return f'<Simulation "{visible_line(self.plan.title)}": {state}>'

@@ -52,7 +52,7 @@ class WallPose:
         return (points - self.pivot) @ self.rotation.T + self.pivot + self.offset
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Snapshot:
     """State of a simulation at one time. `granflow.fields` defines keys, shapes and units.
 
@@ -67,6 +67,10 @@ class Snapshot:
                 [N s] of the particles on the wall
 
     All arrays and mappings are read-only.
+
+    >>> snapshot = gf.read_run("out/two").frames[-1]
+    >>> snapshot.particles["position"].shape, snapshot.stage
+    ((2, 3), 'run')
     """
 
     time: float
@@ -91,6 +95,15 @@ class Snapshot:
         """Whether all numbers are finite; in an aborted run they may not be."""
         arrays = [*self.particles.values(), *(self.contacts or {}).values(), *self.impulses.values()]
         return all(np.isfinite(each).all() for each in [*arrays, np.array(list(self.totals.values()))])
+
+    def __repr__(self) -> str:
+        """One line: time [s], step, stage, number of particles and their arrays, contacts, walls."""
+        count = max((len(values) for values in self.particles.values()), default=0)
+        arrays = f" with {', '.join(self.particles)}" if self.particles else ""
+        contacts = "" if self.contacts is None else f", {len(next(iter(self.contacts.values()), ()))} contacts"
+        walls = f", {len(self.walls)} walls" if self.walls else ""
+        stage = f", stage {self.stage}" if self.stage else ""
+        return f"<Snapshot at {self.time:.4g} s, step {self.step}{stage}: {count} particles{arrays}{contacts}{walls}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; worker processes return snapshots with plain dictionaries.

@@ -6,8 +6,10 @@ newlines and tabs remain. In messages, which are one line each, `visible_line` r
 may contain one.
 """
 
+import html
 import logging
 import re
+from collections.abc import Iterable
 
 HIDDEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u070f\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
@@ -57,3 +59,21 @@ def readable(number: float) -> str:
     if 1e4 <= abs(number) < 1e12:
         return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
     return f"{number:.4g}"
+
+
+def numbered(count: int, noun: str) -> str:
+    """Return a count with its noun: 1 wall, 2 walls, 12 000 particles."""
+    return f"{readable(count)} {noun}{'s' * (count != 1)}"
+
+
+def html_table(title: str, rows: Iterable[tuple[str, object]]) -> str:
+    """Return a table of labels and values with a heading as HTML, for notebooks; all texts are escaped and visible."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{_escaped(label)}</th><td style="text-align:left">{_escaped(value)}</td></tr>'
+        for label, value in rows
+    )
+    return f"<table><caption>{_escaped(title)}</caption>{cells}</table>"
+
+
+def _escaped(text: object) -> str:
+    return html.escape(visible_line(text))

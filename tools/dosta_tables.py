@@ -38,12 +38,12 @@ def split(table: Path, out: Path, name: str) -> dict[float, str]:
 def write(name: str, groups: dict[str, float], overrides: list[str], table: Path, out: Path) -> Path:
     """Writes a scene whose `groups`, each with one radius [m], have the positions of the table; returns its path."""
     files, path = split(table, out, name), out / f"{name}.yaml"
-    path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).text(), encoding="utf-8")
+    path.write_text(load_scene(SCENES / f"{name}.yaml", [*overrides, "expect=[]"]).to_yaml(), encoding="utf-8")
     placed = [
         f"particles.{group}={{material: {BEADS[radius]}, insert: {{kind: file, file: {files[radius]}}}}}"
         for group, radius in groups.items()
     ]
-    path.write_text(load_scene(path, placed).text(), encoding="utf-8")
+    path.write_text(load_scene(path, placed).to_yaml(), encoding="utf-8")
     return path
 
 

@@ -7,14 +7,13 @@ python tools/scene_numbers.py silo out/silo_large_orifice    remaining particles
 """
 
 import argparse
-import csv
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import meshio
 import numpy as np
+
+import granflow as gf
 
 COVERED = 0.5
 """Share of the floor that particles cover at the edge of a deposit."""
@@ -35,18 +34,10 @@ class Frame:
 
 def frames(folder: Path) -> list[Frame]:
     """All frames of a run that contain particles, ordered by time."""
-    data_sets = ElementTree.parse(folder / "particles.pvd").iter("DataSet")
-    read = (read_frame(folder / str(each.get("file")), float(str(each.get("timestep")))) for each in data_sets)
-    return [frame for frame in read if frame is not None]
-
-
-def read_frame(path: Path, time: float) -> Frame | None:
-    """One frame; None without particles."""
-    mesh = meshio.read(path)
-    if not len(mesh.points):
-        return None
-    data = mesh.point_data
-    return Frame(time, np.asarray(mesh.points), np.asarray(data["radius"]), np.asarray(data["group"]))
+    return [
+        Frame(each.time, each.particles["position"], each.particles["radius"], each.particles["group"])
+        for each in gf.read_run(folder).frames
+    ]
 
 
 def top_of(frame: Frame) -> float:
@@ -94,14 +85,8 @@ def of_group(frame: Frame, group: int) -> Frame:
 
 def opening(folder: Path) -> float:
     """Start of the last stage [s]: time of the last row of the previous stage."""
-    rows = read_rows(folder)
-    return max((float(row["time [s]"]) for row in rows if row["stage"] != rows[-1]["stage"]), default=0.0)
-
-
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    """The rows of timeseries.csv."""
-    with (folder / "timeseries.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    columns = gf.read_run(folder).timeseries_arrays
+    return float(columns["time"][columns["stage"] != columns["stage"][-1]].max(initial=0.0))
 
 
 def quadrants(position: np.ndarray) -> np.ndarray:
@@ -140,10 +125,9 @@ def ball(folder: Path) -> str:
 
 def silo(folder: Path) -> str:
     """Remaining particles over time, and the flow in both halves of the steady part of the discharge."""
-    rows = [row for row in read_rows(folder) if row["stage"] == "discharge"]
-    time, remaining, out = (
-        np.array([float(row[name]) for row in rows]) for name in ("time [s]", "particle_count", "flow_count.outlet")
-    )
+    columns = gf.read_run(folder).timeseries_arrays
+    discharge = columns["stage"] == "discharge"
+    time, remaining, out = (columns[name][discharge] for name in ("time", "particle_count", "flow_count.outlet"))
     lines = [
         f"{time[i] - time[0]:6.2f} s: {remaining[i]:.0f} remaining"
         for i in range(0, len(time), max(len(time) // 12, 1))

@@ -20,6 +20,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from granflow import read_run
 from granflow.cli.examples import scene_paths
 from granflow.load import Scene, load
 
@@ -86,10 +87,12 @@ def written(text: str) -> str:
 
 
 def record(folder: Path) -> None:
-    """Stores the numbers of a finished run of a shipped scene. Raises ValueError for other scenes."""
-    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    numbers = numbers_of(result)
-    name, scene = shipped(load(folder / "scene_as_run.yaml"))
+    """Stores the numbers of a finished run of a shipped scene. Raises ValueError for other scenes and runs."""
+    run = read_run(folder)
+    if run.result is None:
+        raise ValueError(f"{folder} has no result.json: give the directory of a finished run.")
+    numbers = run.result.numbers
+    name, scene = shipped(run.scene)
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     quantities = [each.quantity for each in scene.expect]
     stored[name] = {
@@ -98,15 +101,6 @@ def record(folder: Path) -> None:
         "numbers": {quantity: numbers[quantity] for quantity in quantities if quantity in numbers},
     }
     RESULTS.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-
-
-def numbers_of(result: dict[str, Any]) -> dict[str, float]:
-    """Numbers of a result.json by the names of quantities in `expect`."""
-    found = {**result["run"], **result["totals"]}
-    for section in ("flow_meters", "wall_forces", "metrics", "insertion"):
-        for part, readings in result[section].items():
-            found |= {f"{quantity}.{part}": number for quantity, number in readings.items()}
-    return found
 
 
 def shipped(scene: Scene) -> tuple[str, Scene]:

@@ -16,7 +16,7 @@ from granflow.visible_text import VisibleFormatter
 class HasYamlText(Protocol):
     """Protocol of objects with a YAML text, such as a scene."""
 
-    def text(self) -> str:
+    def to_yaml(self) -> str:
         """Return the YAML text with all defaults."""
 
 
@@ -92,7 +92,7 @@ def write_scene_as_run(directory: Path, scene: HasYamlText) -> Path:
     """
     path = Path(directory) / "scene_as_run.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, scene.text())
+    write_text(path, scene.to_yaml())
     return path
 
 

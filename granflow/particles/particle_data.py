@@ -15,6 +15,11 @@ class ParticleData:
 
     `position` (n, 3) [m], `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s], `radius` (n,) [m], all float64;
     `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into list(scene.particles).
+
+    >>> import numpy as np
+    >>> vectors, numbers = np.zeros((1, 3)), np.zeros(1, dtype=np.int32)
+    >>> len(gf.ParticleData(vectors, vectors, vectors, np.full(1, 0.002), numbers, numbers))
+    1
     """
 
     position: np.ndarray

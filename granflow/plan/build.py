@@ -57,12 +57,13 @@ SKIN_SHARES = (0.05, 0.3)
 
 
 def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
-    """Compute the plan of a scene.
-
-    `on_gpu`: each particle is a chunk, because a thread processes one particle.
+    """Compute the plan of a scene; `on_gpu`: each particle is a chunk, because a thread processes one particle.
 
     Raises SceneError if a contact model is not valid for a pair, if the given time step is not stable, if velocities
     are too high for the time step, if the precision is too coarse for the domain, or if a periodic box is too narrow.
+
+    >>> gf.plan_for(gf.load_scene("two.yaml")).step.value > 0
+    True
     """
     materials = _used_materials(scene)
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})

@@ -37,6 +37,9 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
     """Report of a plan with reasons: features, settings, time step, sizes, memory, run time; with `on_gpu`, GPU rates.
 
     Text of at most about WIDTH columns, one section per subject; quantities have units. Empty sections are omitted.
+
+    >>> print(gf.explain(gf.plan_for(gf.load_scene("two.yaml"))).splitlines()[0])
+    Two steel spheres (two.yaml)
     """
     memory = estimate_memory(plan, plan.precision)
     sections = {

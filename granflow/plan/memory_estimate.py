@@ -28,7 +28,11 @@ class MemoryEstimate:
 
 
 def estimate_memory(plan: Plan, precision: Precision) -> MemoryEstimate:
-    """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles."""
+    """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles.
+
+    >>> gf.estimate_memory(gf.plan_for(gf.load_scene("two.yaml")), "f64").total > 0
+    True
+    """
     capacities = plan.capacities
     lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
     particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)

@@ -45,7 +45,7 @@ from granflow.plan.travel import STEP_SHARE
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema.domain import Domain
-from granflow.scene.schema.expect import ExpectationSpec
+from granflow.scene.schema.expect import Expectation
 from granflow.scene.schema.output import Output
 from granflow.scene.schema.run import Precision
 
@@ -62,6 +62,9 @@ class Plan:
 
     Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`: particles
     per unit of work of a thread. `build.plan_for` creates plans.
+
+    >>> gf.plan_for(gf.load_scene("two.yaml")).title
+    'Two steel spheres'
     """
 
     title: str
@@ -78,7 +81,7 @@ class Plan:
     output: Output
     flow_meter_parts: Mapping[str, tuple[str, ...]]
     """Names of the materials or groups with separate counts, by name of the flow meter."""
-    expectations: tuple[ExpectationSpec, ...]
+    expectations: tuple[Expectation, ...]
     gravity: tuple[float, float, float]
     """Gravity [m/s2]."""
     max_overlap: float

@@ -14,7 +14,7 @@ from granflow.geometry.shared_edges import join_shared_edges
 from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
 from granflow.scene.schema import scene as scene_schema
-from granflow.scene.schema.motions import FreeWallSpec, RotationSpec, ServoSpec, TranslationSpec
+from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
@@ -117,7 +117,7 @@ def wall_motions(
 
 def is_force_controlled(wall: AnyWall) -> bool:
     """True if the forces of the particles move this wall."""
-    return any(isinstance(each, ServoSpec | FreeWallSpec) for each in wall.motion)
+    return any(isinstance(each, Servo | FreeWall) for each in wall.motion)
 
 
 def planned_motions(wall: scene_schema.AnyWall, gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
@@ -131,11 +131,11 @@ def planned_motions(wall: scene_schema.AnyWall, gravity: Sequence[float]) -> tup
 def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     """One motion in numeric form, with the start and end [s] of the scene."""
     start, end = given.start or 0.0, inf if given.end is None else given.end
-    if isinstance(given, ServoSpec | FreeWallSpec):
+    if isinstance(given, Servo | FreeWall):
         return motion.ForceControlled(start, end)
-    if isinstance(given, TranslationSpec):
+    if isinstance(given, Translation):
         return motion.Translation(given.velocity, start, end)
-    if isinstance(given, RotationSpec):
+    if isinstance(given, Rotation):
         return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
     amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
@@ -196,9 +196,9 @@ def surface_speed(scene: Scene) -> float:
 
 def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:
     """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free wall."""
-    if isinstance(given, ServoSpec):
+    if isinstance(given, Servo):
         return given.velocity_max
-    if isinstance(given, FreeWallSpec):
+    if isinstance(given, FreeWall):
         acceleration = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
         return float(np.sqrt(2.0 * acceleration * distance))
     return 0.0

@@ -40,12 +40,7 @@ def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
     The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene. The file
     need not exist.
     """
-    for name, wall in scene.walls.items():
-        if isinstance(wall, MeshWall):
-            yield f"walls.{name}.file", scene.folder / wall.file
-    for name, group in scene.particles.items():
-        if isinstance(group.insert, FileInsertion):
-            yield f"particles.{name}.insert.file", scene.folder / group.insert.file
+    return ((key, scene.folder / name) for key, name in scene.input_names())
 
 
 def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:

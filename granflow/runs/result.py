@@ -5,12 +5,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from granflow.errors import GranflowError
 from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
+from granflow.io.regular_files import read_regular_text
 from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
-from granflow.visible_text import readable
+from granflow.visible_text import html_table, readable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,7 +24,7 @@ _WALL_FORCE_NAMES = ("wall_force", "wall_force_largest", "wall_pressure", "wall_
 """Totals and wall forces in the closing table; `result.json` contains all of them."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """Numbers of a completed run, in SI units.
 
@@ -31,6 +33,10 @@ class Result:
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
     `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
     inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
+
+    >>> result = gf.read_run("out/two").result
+    >>> result.totals["particle_count"], result.numbers["simulated_time"] == result.run["simulated_time"]
+    (2, True)
     """
 
     run: Mapping[str, float]
@@ -47,6 +53,25 @@ class Result:
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
         return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
+
+    def __repr__(self) -> str:
+        """One line: simulated time [s], steps, particles, expectations."""
+        return f"<Result: {', '.join(f'{label} {text}' for label, text in self._summary())}>"
+
+    def _repr_html_(self) -> str:
+        """Table of all numbers with units for notebooks."""
+        rows = [(name, f"{readable(number)} {unit_of(name)}") for name, number in self.numbers.items()]
+        expectations = [(each.sentence, "met" if each.met else "missed") for each in self.expectations]
+        return html_table("Result", [*rows, *expectations])
+
+    def _summary(self) -> list[tuple[str, str]]:
+        """Labels and texts of the numbers that `repr` shows, if the result has them."""
+        named = {"simulated_time": ("simulated time", " s"), "step_count": ("steps", "")}
+        named["particle_count"] = ("particles", "")
+        numbers = self.numbers
+        rows = [(label, readable(numbers[name]) + unit) for name, (label, unit) in named.items() if name in numbers]
+        met = sum(each.met for each in self.expectations)
+        return [*rows, ("expectations", f"{met} of {len(self.expectations)} met")] if self.expectations else rows
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -84,6 +109,40 @@ def write_result(directory: Path, result: Result) -> Path:
     path = Path(directory) / "result.json"
     write_text(path, json.dumps(sections, indent=2) + "\n")
     return path
+
+
+def read_sections(path: Path) -> dict[str, Any]:
+    """The sections of `result.json`; empty if it does not exist. Raises GranflowError if it cannot be read."""
+    if not path.exists():
+        return {}
+    try:
+        found = json.loads(read_regular_text(path))
+    except (ValueError, RecursionError, OSError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
+    return found if isinstance(found, dict) else {}
+
+
+def result_of(sections: Mapping[str, Any]) -> Result:
+    """The result in the sections of `result.json`; null becomes nan, missing sections are empty."""
+
+    def parts(name: str) -> dict[str, dict[str, float]]:
+        return {part: _numbers(readings) for part, readings in sections.get(name, {}).items()}
+
+    return Result(
+        run=_numbers(sections.get("run", {})),
+        timings=_numbers(sections.get("timings", {})),
+        totals=_numbers(sections.get("totals", {})),
+        flow_meters=parts("flow_meters"),
+        wall_forces=parts("wall_forces"),
+        metrics=parts("metrics"),
+        insertion=parts("insertion"),
+        expectations=tuple(ExpectationResult(each["sentence"], each["met"]) for each in sections.get("expect", ())),
+        warnings=tuple(sections.get("warnings", ())),
+    )
+
+
+def _numbers(readings: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: math.nan if number is None else number for name, number in readings.items()}
 
 
 def closing_table(result: Result, title: str = "Result") -> "Table":

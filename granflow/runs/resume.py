@@ -77,7 +77,7 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     """
     saved = checkpoint.saved
     # Both scenes are read from text, so that only differences of the text count.
-    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, scene.text()))
+    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, scene.to_yaml()))
     check_run(checkpoint, before, plan_fingerprint(plan))
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)

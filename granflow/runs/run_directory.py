@@ -36,7 +36,7 @@ class RunDirectory:
         self.path = path
         self.writer = BackgroundWriter()
         self._scene, self._resumed = scene, resumed
-        self._checkpoints = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.text())
+        self._checkpoints = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.to_yaml())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
         self._warnings: list[str] = []

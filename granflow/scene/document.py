@@ -116,11 +116,15 @@ class MappingEntry:
 
 @dataclass
 class Document:
-    """The tree of one file, and its problems that do not prevent reading (duplicate keys)."""
+    """The tree of one file, and its problems that do not prevent reading (duplicate keys).
+
+    `subject`: what the file describes, at the beginning of messages about the whole.
+    """
 
     source: str
     root: Node
     problems: list[Problem] = field(default_factory=list)
+    subject: str = "the scene"
 
     def find(self, path: KeyPath) -> Node | None:
         """The value at a path of keys and indices; None if it does not exist.

@@ -19,7 +19,12 @@ def json_schema() -> dict[str, Any]:
 
 
 def _simplified(value: Any) -> Any:
-    """The schema without the titles that pydantic derives from names; mappings by name accept no other names."""
+    """The schema without titles that pydantic derives from names, and without examples in Python.
+
+    Mappings by name accept no other names.
+    """
+    if isinstance(value, str):
+        return value.partition("\n\n>>> ")[0]
     if isinstance(value, list):
         return [_simplified(each) for each in value]
     if not isinstance(value, dict):

@@ -14,22 +14,22 @@ ROOT = "scene"
 """Position of the whole scene in messages."""
 
 
-def document_of(data: Mapping[str, Any]) -> Document:
-    """The tree of a mapping of keys to values, as in a scene file.
+def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
+    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in messages.
 
     Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another scene. Problems
     of the document: keys that are not text, and values of other types.
     """
-    document = Document(ROOT, Node(SourcePosition(ROOT)))
+    document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
     document.root = _node(data, (), document)
     return document
 
 
 def _node(value: Any, path: KeyPath, document: Document) -> Node:
     """The value at a path of keys and indices, and all values below it."""
-    position = _position(path)
+    position = _position(path, document.source)
     if isinstance(value, BaseModel):
-        value = value.model_dump(by_alias=True, exclude_none=True)
+        value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -37,7 +37,8 @@ def _node(value: Any, path: KeyPath, document: Document) -> Node:
         for key, each in value.items():
             if not isinstance(key, str):
                 document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
-            entries[str(key)] = MappingEntry(_position((*path, str(key))), _node(each, (*path, str(key)), document))
+            below = (*path, str(key))
+            entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
         return Node(position, entries=entries)
     if isinstance(value, list | tuple):
         return Node(position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)])
@@ -55,5 +56,5 @@ def _text(value: str | float | None) -> str:
     return value if isinstance(value, str) else "" if value is None else json.dumps(value)
 
 
-def _position(path: KeyPath) -> SourcePosition:
-    return SourcePosition(".".join(map(str, path)) or ROOT)
+def _position(path: KeyPath, root: str) -> SourcePosition:
+    return SourcePosition(".".join(map(str, path)) or root)

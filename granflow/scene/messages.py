@@ -12,9 +12,9 @@ from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
 from granflow.scene.document import Document, KeyPath, Node, Problem
-from granflow.scene.schema.fields import Fault, missing, tag_of, whole
-from granflow.scene.schema.scene import SceneInput
+from granflow.scene.schema.faults import Fault, missing, whole
 from granflow.scene.suggest import nearest, suggestion_or_list
+from granflow.scene.union_tags import tag_of
 
 _CONSEQUENCE = "default_factory_not_called"  # default copied from another value that is invalid
 _MAX_ERRORS = 1000  # more errors take too long to report
@@ -38,7 +38,7 @@ def problem_at(document: Document, fault: Fault) -> Problem:
     The path may contain union tags. The sentence ends with a period or a question mark.
     """
     written = path_in_file(document, fault.path)
-    name = dotted(written) or "the scene"
+    name = dotted(written) or document.subject
     node = document.find(written)
     shown = node.shown() if node is not None else None
     if fault.whole:
@@ -63,9 +63,7 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
     return tuple(written)
 
 
-def problems_of(
-    document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel] = SceneInput
-) -> list[Problem]:
+def problems_of(document: Document, errors: Sequence[ErrorDetails], schema: type[BaseModel]) -> list[Problem]:
     """The errors of the schema as problems, without consequences of other errors; at most 1000.
 
     `schema`: model of the whole document. Omitted: copied defaults of invalid values, and a missing key if an unknown

@@ -8,7 +8,8 @@ from typing import Annotated, Any, get_origin
 from pydantic import BaseModel, Field, create_model
 
 from granflow.scene.document import Document, KeyPath
-from granflow.scene.schema.fields import Fault, Model
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import faults_of
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest
 
@@ -101,14 +102,3 @@ def clear_schema() -> None:
     """Clear what was derived from the schema; required after a change of the schema."""
     _several.cache_clear()
     _without_required_keys.cache_clear()
-
-
-def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
-    """Faults of a value and of all models in it, depth first, with key paths from the root."""
-    if isinstance(value, Model):
-        yield from (replace(fault, path=(*path, *fault.path)) for fault in value.faults())
-        for name, each in type(value).model_fields.items():
-            yield from faults_of(getattr(value, name), (*path, each.alias or name))
-    elif isinstance(value, dict | tuple):
-        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from faults_of(each, (*path, key))

@@ -118,7 +118,7 @@ def _validated(document: Document) -> tuple[SceneInput | None, list[Problem]]:
     except ValidationError as error:
         details = error.errors(include_url=False, include_input=False)
         parts = partial_scene_of(document, data, [each["loc"] for each in details])
-        return None, problems_of(document, details) + consistency_problems(parts)
+        return None, problems_of(document, details, SceneInput) + consistency_problems(parts)
     return scene, consistency_problems(PartialScene(document, scene))
 
 

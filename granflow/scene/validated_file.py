@@ -10,9 +10,8 @@ from granflow.errors import FileError, SceneError
 from granflow.scene.document import Document, Problem
 from granflow.scene.mapping import document_of
 from granflow.scene.messages import problem_at, problems_of
-from granflow.scene.partial import faults_of
 from granflow.scene.reader import document_in
-from granflow.scene.schema.fields import Model
+from granflow.scene.schema.fields import Model, faults_of
 
 M = TypeVar("M", bound=Model)
 

@@ -10,7 +10,7 @@ from granflow.scene.checks import output, pairs, regions, stages
 from granflow.scene.document import Problem
 from granflow.scene.messages import problem_at
 from granflow.scene.partial import PartialScene
-from granflow.scene.schema.fields import Fault, whole
+from granflow.scene.schema.faults import Fault, whole
 
 _MAX_ENTRIES = {
     "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000

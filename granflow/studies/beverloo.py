@@ -6,15 +6,13 @@ with the orifice D, the particle diameter d and the bulk density rho. The fitted
 have the same weight as large ones.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from granflow import GranflowError, load_scene
-from granflow.io.regular_files import read_regular_text
+from granflow import GranflowError, read_run
 from granflow.io.tables import read_table
 from granflow.scene.schema.units import UnitError, to_si
 
@@ -133,14 +131,10 @@ def read_discharges(sources: Sequence[Path]) -> Discharge:
 
 def _of_run(source: Path) -> list[tuple[float, float]]:
     """Orifice [m] and mass flow rate [kg/s] of a run. Raises GranflowError."""
-    path = source / "result.json"
-    if not path.exists():
+    run = read_run(source)
+    if run.result is None:
         raise GranflowError(f"{source} has no result.json; give the directory of a finished run.")
-    try:
-        numbers = json.loads(read_regular_text(path))["flow_meters"]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}); give the directory of a finished run.") from None
-    meters = load_scene(source / "scene_as_run.yaml").output.flow_meters
+    meters, numbers = run.scene.output.flow_meters, run.result.flow_meters
     found = [
         (2.0 * meter.radius, numbers[name]["mass_flow"]) for name, meter in meters.items() if meter.radius is not None
     ]

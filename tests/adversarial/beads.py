@@ -48,7 +48,7 @@ def scene(text: str, **files: str | bytes):
 
 def built(build, **files: str | bytes):
     """A `prepare` that writes a scene built by `scene_builders.build_scene`; `build` is the function that builds it."""
-    return lambda sandbox: scene(build().text(), **files)(sandbox)
+    return lambda sandbox: scene(build().to_yaml(), **files)(sandbox)
 
 
 def solid(point, normal):

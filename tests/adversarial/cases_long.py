@@ -118,7 +118,7 @@ CASES = [
         "1 000 000 steps of 1000 particles",
         act=run_and_sample,
         code=0,
-        prepare=lambda sandbox: sandbox.write("beads.yaml", settled_bed().text()),
+        prepare=lambda sandbox: sandbox.write("beads.yaml", settled_bed().to_yaml()),
         verify=all_particles,
         verified="resident memory grows by less than 2 %, open files stay constant",
         seconds=1500,

@@ -19,7 +19,7 @@ def ran(name: str, text: str, build, verified: str, verify, code=0, patterns=(),
     def prepare(sandbox):
         for file, content in (files or {}).items():
             sandbox.write(file, content)
-        sandbox.write("beads.yaml", build() if isinstance(build(), str) else build().text())
+        sandbox.write("beads.yaml", build() if isinstance(build(), str) else build().to_yaml())
 
     return Case(
         "physics",
@@ -322,7 +322,7 @@ def physics() -> list[Case]:
             "physics_abort_first",
             "a collision at 2000 km/s with a time step for 1 m/s",
             ("run beads.yaml --out out",),
-            prepare=lambda s: s.write("beads.yaml", speed_of_light().text()),
+            prepare=lambda s: s.write("beads.yaml", speed_of_light().to_yaml()),
             patterns=("above the limit of 0.001 m",),
         ),
         Case(

@@ -93,8 +93,14 @@ def test_every_command_and_its_options_are_in_the_reference():
 
 
 def test_every_public_name_is_in_the_reference():
-    page = docsite("api_page").page()
-    assert all(f"\n## {name}\n" in page for name in granflow.__all__)
+    pages = docsite("api_page").page() + docsite("api_page").blocks_page()
+    assert all(pages.count(f"\n### {name}\n") == 1 for name in granflow.__all__)
+
+
+def test_keys_of_blocks_link_to_the_reference_of_scenes():
+    scene = docsite("scene_reference").page()
+    links = re.findall(r"\(scene\.md#([\w-]+)\)", docsite("api_page").blocks_page())
+    assert len(links) > 150 and all(f'<span id="{link}"></span>' in scene for link in links)
 
 
 def test_every_contact_model_has_a_page_with_its_facts():

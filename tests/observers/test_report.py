@@ -74,5 +74,5 @@ def test_log_records_the_run_until_an_exception_ends_it(tmp_path):
 
 
 def test_resolved_scene_is_written_as_utf_8(tmp_path):
-    path = write_scene_as_run(tmp_path / "out", SimpleNamespace(text=lambda: "title: Rain ü\n"))
+    path = write_scene_as_run(tmp_path / "out", SimpleNamespace(to_yaml=lambda: "title: Rain ü\n"))
     assert path.read_text(encoding="utf-8") == "title: Rain ü\n"

@@ -18,9 +18,9 @@ from granflow.simulation import Simulation
 
 def changed(**overrides):
     """The scene of `complex_scene` as read from text, unchanged and with overrides; `__` in a key stands for a dot."""
-    original = scene_of(complex_scene().text(), "before")
+    original = scene_of(complex_scene().to_yaml(), "before")
     return original, scene_of(
-        complex_scene().text(), "now", [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()]
+        complex_scene().to_yaml(), "now", [f"{k.replace('__', '.')}={v}" for k, v in overrides.items()]
     )
 
 

@@ -132,7 +132,7 @@ def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypa
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.time", lambda: pytest.fail("the system time must not be used"))
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])})
-    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), scene.text())
+    writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), scene.to_yaml())
     writer.start(0.0)
     assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)
     writer.write(0.5, 1, STATE)

@@ -24,7 +24,7 @@ def problems(**changes):
 def test_mapping_and_text_give_the_same_scene():
     scene = Scene.from_dict(described(gravity=np.array([0.0, 0.0, -9.81]), run={"duration": "20 ms"}))
     assert scene.gravity == (0.0, 0.0, -9.81) and scene.run.duration == 0.02
-    assert scene_of(scene.text(), "scene") == scene
+    assert scene_of(scene.to_yaml(), "scene") == scene
 
 
 def test_problems_name_the_key_path():

@@ -68,7 +68,7 @@ def read(path, text, overrides=()):
         return None
     assert isinstance(scene, Scene)
     again = path.with_name("again.yaml")
-    again.write_text(scene.text(), encoding="utf-8")
+    again.write_text(scene.to_yaml(), encoding="utf-8")
     assert load(again) == scene
     return scene
 

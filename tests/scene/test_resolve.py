@@ -14,7 +14,7 @@ from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
 from granflow.plan.build import plan_for
 from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.scene.schema.motions import VibrationSpec
+from granflow.scene.schema.motions import Vibration
 from granflow.scene.schema.walls import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
@@ -57,7 +57,7 @@ CLASSES = "{distribution: classes, by: mass, classes: [{diameter: 2 mm, fraction
 def test_count_is_derived_from_mass_or_duration(tmp_path, amount, insertion, count):
     scene = scene_with(tmp_path, f"    {amount}\n    diameter: 4 mm\n    insert: {{{insertion}, {REGION}}}\n")
     assert scene.particles["beads"].count == plan_for(scene).particle_capacity == count
-    assert scene_of(scene.text(), "as run").particles == scene.particles, "resolving is idempotent"
+    assert scene_of(scene.to_yaml(), "as run").particles == scene.particles, "resolving is idempotent"
 
 
 @pytest.mark.parametrize("sizes", [UNIFORM, CLASSES])
@@ -103,7 +103,7 @@ def test_file_defines_count_diameters_and_velocities(tmp_path):
     np.testing.assert_allclose(particles.velocity[0], [3, 0, 4])
     assert particles.radius.tolist() == [0.002, 0.002, 0.001]
     (tmp_path / "start.csv").unlink()
-    again = scene_of(scene.text(), str(tmp_path / "checkpoint.npz"))
+    again = scene_of(scene.to_yaml(), str(tmp_path / "checkpoint.npz"))
     assert again.particles == scene.particles, "the resolved scene does not need the file"
 
 
@@ -191,7 +191,7 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
         "diameters, velocities and times are not.",
         "scale 2: 1 expectations apply to scale 1 only and are not evaluated.",
     )
-    assert scene_of(two.text(), "as run") == two, "resolving is idempotent"
+    assert scene_of(two.to_yaml(), "as run") == two, "resolving is idempotent"
     assert problems(tmp_path, FILE, "scale=2", start=ROWS) == [
         "--set scale=2: scale is 2, but particles.beads has given positions, which cannot be scaled; leave scale out."
     ]
@@ -202,5 +202,5 @@ def test_scale_changes_mesh_walls_but_not_amplitudes(tmp_path):
     wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
     larger = scaled(wall, 3.0)
     assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
-    vibration = VibrationSpec(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
+    vibration = Vibration(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
     assert scaled(vibration, 3.0) == vibration

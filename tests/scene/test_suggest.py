@@ -59,9 +59,9 @@ def test_synonyms_are_in_the_form_in_which_they_are_searched():
 def test_overrides_have_the_same_path_in_a_scene_and_in_its_resolved_form(tmp_path, override):
     """`granflow resume` applies overrides to scene_as_run.yaml."""
     resolved = tmp_path / "scene_as_run.yaml"
-    resolved.write_text(load(SCENES / "drum.yaml").text())
+    resolved.write_text(load(SCENES / "drum.yaml").to_yaml())
     first, second = (load(path, [override]) for path in (SCENES / "drum.yaml", resolved))
-    assert first.text() == second.text() != load(SCENES / "drum.yaml").text()
+    assert first.to_yaml() == second.to_yaml() != load(SCENES / "drum.yaml").to_yaml()
     assert isinstance(first, Scene)
 
 

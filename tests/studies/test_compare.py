@@ -180,7 +180,7 @@ def test_the_command_rejects_unknown_contact_models_before_reading_the_scene(cap
 
 def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
     file = tmp_path / "scene.yaml"
-    file.write_text(head_on().text(), encoding="utf-8")
+    file.write_text(head_on().to_yaml(), encoding="utf-8")
     assert main(["compare", str(file), "--laws", "hertz", "--out", str(found[1])]) == 2
     assert "contains an earlier run" in capsys.readouterr().err
 

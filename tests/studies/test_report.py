@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from studies.test_page import BalanceParser
 
+from granflow import read_run
 from granflow.cli.main import main
+from granflow.io.log_reader import explanation, read_log, sessions, warnings_and_errors
+from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.page import environment, page_text
 from granflow.studies.report import sections as report_sections
-from granflow.studies.report.log import explanation, read_log, sessions, warnings_and_errors
 from granflow.studies.report.pictures import _caption
 from granflow.studies.report.plots import plot_of
-from granflow.studies.report.record import read_record
 from granflow.studies.report.report import report_text
-from granflow.studies.report.series import MOST_POINTS, SeriesColumn, TimeSeriesTable, groups_of, read_series, thinned
+from granflow.studies.report.series import MOST_POINTS, groups_of, thinned
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
 HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
@@ -65,7 +66,7 @@ def run(tmp_path):
 
 def text_of(directory, script="/* plotly */"):
     """Text of the page; asserts that its HTML is balanced."""
-    html = report_text(read_record(directory), script, None)
+    html = report_text(read_run(directory), script, None)
     parser = BalanceParser()
     parser.feed(re.sub(r"<script>.*?</script>", "", html, flags=re.DOTALL))
     assert not parser.open
@@ -95,7 +96,7 @@ def test_page_of_a_complete_run_contains_all_results(run):
 
 
 def test_timings_add_up_to_the_wall_clock(run):
-    assert [row[:3] for row in report_sections.timings(read_record(run)).rows] == [
+    assert [row[:3] for row in report_sections.timings(read_run(run)).rows] == [
         ("forces", "6.00", "60%"),
         ("compile", "3.00", "30%"),
         ("other", "1.00", "10%"),
@@ -189,7 +190,10 @@ def test_thinned_curve_keeps_peaks_and_ends():
 
 def test_plot_json_cannot_close_its_script_element():
     group = groups_of([SeriesColumn("x.</script>", "m", np.array([1.0, np.nan, 3.0]))])[0]
-    plot = plot_of(group, TimeSeriesTable(np.array([0.0, 1.0, 2.0]), group.columns, ((0.0, "a"), (0.1, "b"))))
+    plot = plot_of(
+        group,
+        TimeSeriesTable(np.array([0.0, 1.0, 2.0]), np.array(["a", "b", "b"]), group.columns, ((0.0, "a"), (0.1, "b"))),
+    )
     assert plot.figure["data"][0]["x"] == [0.0, 2.0]
     assert [each["text"] for each in plot.figure["layout"]["annotations"]] == ["a", "b"]
     html = environment().get_template("macros.html").module.plot(plot)

@@ -161,7 +161,7 @@ def test_warnings_of_the_plan_are_not_repeated():
 
 def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     path = tmp_path / "coarse.yaml"
-    path.write_text(coarse_hertz().text(), encoding="utf-8")
+    path.write_text(coarse_hertz().to_yaml(), encoding="utf-8")
     assert main(["restitution", str(path), "--out", str(tmp_path / "out")]) == 0
     row = re.compile(r"(?:steel\S+(?: wall)?)? +([\d.]+) +0\.30000 +([\d.]+) +([+-][\d.]+)( \*)?")
     shown = [found.groups() for line in capsys.readouterr().out.splitlines() if (found := row.match(line))]

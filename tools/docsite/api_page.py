@@ -2,49 +2,102 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import granflow
+from docsite.markdown import anchor
+from granflow.scene.schema.fields import Model
 
 INTRODUCTION = """\
 # Python interface
 
 ```python
-import granflow
+import granflow as gf
 
-scene = granflow.load_scene("scenes/hopper.yaml", overrides=["particles.beads.count=500"])
-report = granflow.on_interval(0.05, lambda snapshot: print(snapshot.time, snapshot.totals["kinetic_energy"]))
-simulation = granflow.Simulation(scene, observers=[report])
+scene = gf.load_scene("scenes/hopper.yaml", overrides=["particles.beads.count=500"])
+report = gf.on_interval(0.05, lambda snapshot: print(snapshot.time, snapshot.totals["kinetic_energy"]))
+simulation = gf.Simulation(scene, out="out/hopper", observers=[report])
 simulation.run(until=0.2)
 positions = simulation.snapshot().particles["position"]  # numpy array (n, 3) [m], ordered by particle id
+table = gf.read_run("out/hopper").timeseries             # pandas
 ```
 
-Names of the package `granflow`, in SI units. Arrays are numpy arrays with the shape in parentheses. A scene from a
-dictionary with the same keys as a file: `Scene.from_dict`. Initial particles as arrays: `Simulation(scene,
-particles=ParticleData(...))`. `register_contact_model` adds a contact model to the keys of scenes;
-`tests/contact/test_external_models.py` defines two.
+Names of the package `granflow`, imported as `gf` in the examples, in SI units. Arrays are numpy arrays with the shape
+in parentheses. The [guide](../guides/python.md) builds a scene in Python, runs it and reads its results; the
+[blocks of a scene](python_blocks.md) have a page of their own. In the examples, `two.yaml` is the
+[first scene](../tutorials/first_scene.md) and `out/two` its run.
 """
+BLOCKS_INTRODUCTION = """\
+# Blocks of a scene in Python
+
+Each block is a class with the keys of the scene file as arguments: numbers in SI units or text with units, lists, numpy
+arrays, mappings, other blocks. `from` is `from_`, and a key that selects the kind of a block (`shape`, `kind`,
+`distribution`) may be omitted. A block is validated where it is created, with the messages of the scene reader; `Scene`
+joins the blocks and validates them together. Blocks are immutable.
+"""
+GROUPS: Mapping[str, Sequence[str]] = {
+    "Scenes": ("load_scene", "Scene", "register_contact_model"),
+    "Simulations": ("Simulation", "ParticleData", "on_interval", "Snapshot", "start"),
+    "Results": ("read_run", "Run", "Result", "analyze_snapshots", "steady_flow"),
+    "Studies": ("sweep", "calibrate"),
+    "Plans": ("plan_for", "Plan", "explain", "estimate_memory"),
+    "Errors": ("GranflowError", "SceneError", "RunError", "OutputError"),
+}
+"""Names of the first page by topic; names without a topic follow."""
 LONGEST_SIGNATURE = 12
 """Parameters of the longest signature of a class; records with more are created by functions."""
 
 
 def page() -> str:
-    """The page in Markdown. Raises ValueError for a public name without a docstring."""
-    return "\n".join([INTRODUCTION, *(section(name, getattr(granflow, name)) for name in granflow.__all__)])
-
-
-def section(name: str, thing: Any) -> str:
-    """Signature and docstring of a function or class, with the public members of a class."""
-    lines = [f"## {name}\n", signature(name, thing), docstring(name, thing)]
-    if inspect.isclass(thing) and not issubclass(thing, Exception):
-        for member, value in members(thing):
-            lines += [f"### {name}.{member}\n", value]
+    """The page in Markdown, without blocks. Raises ValueError for a public name without a docstring."""
+    remaining = [name for name in granflow.__all__ if not is_block(name)]
+    lines = [INTRODUCTION]
+    for topic, names in GROUPS.items():
+        lines += [f"## {topic}\n", *(section(name) for name in names)]
+        remaining = [name for name in remaining if name not in names]
+    if remaining:
+        lines += ["## Further names\n", *map(section, remaining)]
     return "\n".join(lines)
 
 
+def blocks_page() -> str:
+    """The page of the blocks of a scene, each with its keys."""
+    return "\n".join([BLOCKS_INTRODUCTION, *(section(name) for name in granflow.__all__ if is_block(name))])
+
+
+def is_block(name: str) -> bool:
+    """Whether a public name is a block of a scene."""
+    thing = getattr(granflow, name)
+    return inspect.isclass(thing) and issubclass(thing, Model) and thing is not granflow.Scene
+
+
+def section(name: str) -> str:
+    """Signature and docstring of a function or class, with the public members of a class, or the keys of a block."""
+    thing = getattr(granflow, name)
+    lines = [f"### {name}\n", signature(name, thing), docstring(name, thing)]
+    if is_block(name):
+        lines.append(f"Keys: {', '.join(_key_link(name, key) for key in _keys(thing))}.\n")
+    elif inspect.isclass(thing) and not issubclass(thing, Exception):
+        for member, value in members(thing):
+            lines += [f"#### {name}.{member}\n", value]
+    return "\n".join(lines)
+
+
+def _keys(block: type[Model]) -> list[str]:
+    """Keys of a block in scene files."""
+    return [field.alias or key for key, field in block.model_fields.items()]
+
+
+def _key_link(block: str, key: str) -> str:
+    """Key with a link to its type, unit, range and default."""
+    return f"[`{key}`](scene.md#{anchor(f'{block} {key}')})"
+
+
 def signature(name: str, thing: Any) -> str:
-    """Signature as a block of Python; empty without one."""
+    """Signature as a block of Python; empty without one, and for parts of a scene, whose arguments are keys."""
+    if inspect.isclass(thing) and issubclass(thing, Model):
+        return ""
     try:
         text = str(inspect.signature(thing))
     except (TypeError, ValueError):
@@ -85,6 +138,8 @@ def docstring(name: str, thing: Any) -> str:
 
 def _paragraph(text: str) -> str:
     """A paragraph; lines such as `name:  description` become a list, with their continuation lines."""
+    if text.startswith(">>> "):
+        return f"```pycon\n{text}\n```"
     if not re.match(r"[`\w, \[\]]+:  ?\S", text) or not re.match(r"`?\w+`?(, `?\w+`?)*:", text):
         return text
     items = re.sub(r"(?m)^(`?\w+`?(?:, `?\w+`?)*):  +", r"- \1: ", text)
@@ -93,11 +148,12 @@ def _paragraph(text: str) -> str:
 
 def members(thing: type) -> Iterator[tuple[str, str]]:
     """Name and text of the public methods and properties that a class defines."""
-    for member, value in vars(thing).items():
+    inherited = {"to_yaml": thing.to_yaml} if thing is granflow.Scene else {}
+    for member, value in {**vars(thing), **inherited}.items():
         if member.startswith("_"):
             continue
         function: Callable[..., Any] | None = getattr(value, "__func__", value if inspect.isfunction(value) else None)
         if isinstance(value, property) and value.__doc__:
             yield member, docstring(member, value)
-        elif function is not None and function.__doc__:
+        elif function is not None and function.__doc__ and function.__module__.startswith("granflow"):
             yield member, signature(member, getattr(thing, member)) + "\n" + docstring(member, function)

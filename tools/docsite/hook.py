@@ -25,6 +25,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "reference/units.md": quantity_pages.units,
     "reference/presets.md": quantity_pages.presets,
     "reference/python.md": api_page.page,
+    "reference/python_blocks.md": api_page.blocks_page,
     "gallery.md": gallery.page,
 }
 """Generated pages by path."""

@@ -21,7 +21,7 @@ from granflow.scene.schema.analysis import (
     SlidingMetric,
 )
 from granflow.scene.schema.domain import Domain
-from granflow.scene.schema.fields import Fault, whole
+from granflow.scene.schema.faults import Fault, whole
 from granflow.scene.schema.insertion import TimedInsertion
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.shapes import Box

@@ -7,7 +7,7 @@ from granflow.contact import registry
 from granflow.contact.options import FRICTION
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
-from granflow.scene.schema.fields import Fault, missing, whole
+from granflow.scene.schema.faults import Fault, missing, whole
 from granflow.scene.schema.materials import RestitutionFit
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.suggest import nearest, suggestion_or_list

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene
-from granflow.scene.schema.fields import Fault, whole
+from granflow.scene.schema.faults import Fault, whole
 from granflow.scene.schema.insertion import (
     BoxRegion,
     CylinderRegion,

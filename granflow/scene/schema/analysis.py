@@ -7,7 +7,8 @@ from pydantic import Field
 
 from granflow.fields import FIELD_QUANTITIES
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model, Names, Text, choose_by_key, whole
+from granflow.scene.schema.faults import Fault, whole
+from granflow.scene.schema.fields import ListOf, Model, Names, Text, choose_by_key
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box
 from granflow.scene.suggest import suggestion_or_list
@@ -52,6 +53,9 @@ class FieldGrid(GridSpec):
 
     Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
     Formulas: docs/pages/guides/coarse_graining.md.
+
+    >>> gf.FieldGrid(cell="5 mm", quantities=["density", "velocity"]).quantities
+    ('density', 'velocity')
     """
 
     width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
@@ -75,9 +79,12 @@ class LaceyMetric(GridSpec):
     """Lacey mixing index of the particles of some groups, materials or sizes among all particles.
 
     0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
+
+    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
+    0.01
     """
 
-    kind: Literal["lacey"] = Field(description="kind of metric")
+    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles form the first component")
     materials: Names | None = Field(None, description="materials whose particles form the first component")
     smaller_than: q.UnscaledLength | None = Field(
@@ -98,9 +105,12 @@ class ReposeMetric(Model):
     """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
 
     The angle is that of a line or plane fitted to the tops of the highest particles.
+
+    >>> gf.ReposeMetric(surface="cone")
+    ReposeMetric(surface='cone')
     """
 
-    kind: Literal["repose"] = Field(description="kind of metric")
+    kind: Literal["repose"] = Field("repose", description="kind of metric")
     surface: Literal["cone", "plane"] = Field(
         description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
     )
@@ -119,9 +129,12 @@ class FabricMetric(Model):
     """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
 
     (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+
+    >>> gf.FabricMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
+    'fabric'
     """
 
-    kind: Literal["fabric"] = Field(description="kind of metric")
+    kind: Literal["fabric"] = Field("fabric", description="kind of metric")
     region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
 
 
@@ -129,30 +142,45 @@ class CoordinationMetric(Model):
     """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with walls.
 
     (C. Thornton, Geotechnique 50 (2000) 43.)
+
+    >>> gf.CoordinationMetric()
+    CoordinationMetric()
     """
 
-    kind: Literal["coordination"] = Field(description="kind of metric")
+    kind: Literal["coordination"] = Field("coordination", description="kind of metric")
     region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
 
 
 class ContentMetric(Model):
-    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box."""
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box.
 
-    kind: Literal["content"] = Field(description="kind of metric")
+    >>> gf.ContentMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).region.max
+    (0.1, 0.1, 0.1)
+    """
+
+    kind: Literal["content"] = Field("content", description="kind of metric")
     region: Box = Field(description="box whose particles are counted")
 
 
 class CenterOfMassMetric(Model):
-    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions."""
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions.
 
-    kind: Literal["center_of_mass"] = Field(description="kind of metric")
+    >>> gf.CenterOfMassMetric(groups=["red"])
+    CenterOfMassMetric(groups=('red',))
+    """
+
+    kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
 
 
 class SlidingMetric(Model):
-    """Share of the contacts whose friction force is at the Coulomb limit."""
+    """Share of the contacts whose friction force is at the Coulomb limit.
 
-    kind: Literal["sliding"] = Field(description="kind of metric")
+    >>> gf.SlidingMetric(walls=["floor"])
+    SlidingMetric(walls=('floor',))
+    """
+
+    kind: Literal["sliding"] = Field("sliding", description="kind of metric")
     walls: Names | None = Field(
         None, description="walls whose contacts are evaluated; default: the contacts between particles"
     )

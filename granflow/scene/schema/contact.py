@@ -43,6 +43,9 @@ class Contact(Model):
 
     Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
     are properties of the pairs.
+
+    >>> gf.Contact(normal={"law": "linear", "stiffness": "onset"}, tangential="mindlin", rolling="none").name("normal")
+    'linear'
     """
 
     # the values of each key follow from the registered models, see `use_registry`

@@ -8,7 +8,8 @@ from pydantic import Field
 
 from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import ListOf, Model
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box
 
@@ -24,6 +25,9 @@ class LeesEdwards(Model):
         velocity of the image above = rate * width of the box along the gradient axis      [m/s]
 
     Walls, flow meters and insertion during the run are not supported.
+
+    >>> gf.LeesEdwards(flow="x", gradient="z", rate="10 1/s")
+    LeesEdwards(flow='x', gradient='z', rate=10.0)
     """
 
     flow: Axis = Field(description="flow axis, the direction of the velocity")
@@ -41,6 +45,9 @@ class Domain(Box):
     """The simulated box: particles outside are deleted, wrapped (periodic axes) or followed, or end the run.
 
     Walls may extend beyond it.
+
+    >>> gf.Domain(min=[0, 0, 0], max=[0.1, 0.1, 0.1], periodic=["x", "y"], on_exit="delete").periodic
+    ('x', 'y')
     """
 
     periodic: Annotated[tuple[Axis, ...], ListOf(one=True)] = Field(

@@ -6,13 +6,17 @@ from typing import Annotated
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Flag, Model, Text, missing, pair_list, whole
+from granflow.scene.schema.faults import Fault, missing, whole
+from granflow.scene.schema.fields import Flag, Model, Text, pair_list
 
 
-class ExpectationSpec(Model):
+class Expectation(Model):
     """An expectation for the results of a run: one comparison of one quantity, in SI units.
 
     The names are those of the totals in timeseries.csv, and NAME.PART for flow meters, walls, metrics and groups.
+
+    >>> gf.Expectation(quantity="mass_flow.outlet", equals="0.5 kg/s", tolerance=0.05).equals
+    0.5
     """
 
     quantity: Text = Field(description="quantity to compare, such as mass_flow.outlet")

@@ -1,57 +1,84 @@
-"""Building blocks of the schema: the immutable base model, faults, texts, names, lists and unions."""
+"""Building blocks of the schema: the immutable base model, texts, names, lists and unions."""
 
 import re
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
-from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Tag, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, WithJsonSchema
 from pydantic_core import CoreSchema, core_schema
 
+from granflow.errors import SceneError
 from granflow.scene.document import KeyPath
+from granflow.scene.mapping import document_of
+from granflow.scene.messages import problem_at, problems_of
+from granflow.scene.schema.faults import Fault
 from granflow.scene.schema.numbers import value_error
+from granflow.scene.union_tags import selecting_keys, tag_of
 from granflow.visible_text import visible
 
 _NAME = r"[a-z][a-z0-9_]*"
 
 
-@dataclass(frozen=True)
-class Fault:
-    """An invalid value at `path`; the message is "X is Y, but {reason}".
-
-    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The path of a
-    fault from `Model.faults` is relative to the model.
-    """
-
-    path: KeyPath
-    reason: str
-    whole: bool = False
+def _require_selecting_keys(schema: dict[str, Any], model: type[BaseModel]) -> None:
+    """Modifier of a JSON Schema: files must give the keys that select a part of a union, such as `shape`."""
+    for key in selecting_keys(model):
+        schema["properties"][key].pop("default", None)
+        if key not in schema.get("required", ()):
+            schema["required"] = [key, *schema.get("required", ())]
 
 
 class Model(BaseModel):
     """A part of a scene: immutable; unknown keys are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, defer_build=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", populate_by_name=True, defer_build=True, json_schema_extra=_require_selecting_keys
+    )
+
+    def __init__(self, **values: Any) -> None:
+        """Create the part from the values of its keys, as in a scene file; the key `from` is `from_` in Python.
+
+        Values: numbers in SI units or text with units, lists, numpy arrays, mappings, other parts. A key that selects
+        the kind of the part, such as `shape`, may be omitted. Raises SceneError with all problems, each with its key.
+        """
+        model = type(self)
+        aliases = {name: each.alias or name for name, each in model.model_fields.items()}
+        given = selecting_keys(model) | {aliases.get(name, name): value for name, value in values.items()}
+        document = document_of(given, model.__name__)
+        problems = list(document.problems)
+        try:
+            model.__pydantic_validator__.validate_python(document.root.data(), self_instance=self)
+            problems += [problem_at(document, fault) for fault in faults_of(self)]
+        except ValidationError as error:
+            problems += problems_of(document, error.errors(include_url=False, include_input=False), model)
+        if problems:
+            raise SceneError(dict.fromkeys(map(str, problems)))
+
+    # pydantic then validates nested parts itself, with their key paths in the errors, as for RootModel
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Yield the keys that differ from their defaults, for `repr`."""
+        hidden = selecting_keys(type(self))
+        for name, each in type(self).model_fields.items():
+            value = getattr(self, name)
+            if name not in hidden and (each.is_required() or value != each.get_default()):
+                yield name, value
 
     def faults(self) -> Iterator[Fault]:
         """Yield inconsistencies between the fields of this part; each field by itself is valid."""
         yield from ()
 
 
-def whole(path: KeyPath, reason: str) -> Fault:
-    """The fault with the message "X {reason}"."""
-    return Fault(path, reason, whole=True)
-
-
-def redundant(key: str, other: str, keep: str = "one of them") -> Fault:
-    """The fault of a key that excludes another key."""
-    return Fault((key,), f"{other} is given too: keep {keep}")
-
-
-def missing(path: KeyPath, description: str) -> Fault:
-    """The fault of a missing key; `description` states its meaning or the reason why it is required."""
-    return whole(path, f"is missing: {description}")
+def faults_of(value: Any, path: KeyPath = ()) -> Iterator[Fault]:
+    """Faults of a value and of all models in it, depth first, with key paths from the root."""
+    if isinstance(value, Model):
+        yield from (replace(fault, path=(*path, *fault.path)) for fault in value.faults())
+        for name, each in type(value).model_fields.items():
+            yield from faults_of(getattr(value, name), (*path, each.alias or name))
+    elif isinstance(value, dict | tuple):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from faults_of(each, (*path, key))
 
 
 def require(is_valid: Callable[[Any], Any], reason: str) -> Callable[[Any], Any]:
@@ -138,26 +165,6 @@ def required_unless(key: str, *others: str) -> Callable[[dict[str, Any]], None]:
         schema["anyOf"] = [{"required": [key]}, {"required": list(others)}]
 
     return change
-
-
-def tag_of(member: Any) -> str:
-    """Tag of a member of a union in error locations: a name in angle brackets, which distinguish it from keys.
-
-    The name is that of its pydantic `Tag`, else the value of its key such as `kind`, else its first key; for plain
-    values none, list or number.
-    """
-    if get_origin(member) is Annotated:
-        explicit = [meta.tag for meta in get_args(member)[1:] if isinstance(meta, Tag)]
-        return explicit[0] if explicit else tag_of(get_args(member)[0])
-    if isinstance(member, type) and issubclass(member, BaseModel):
-        literals = [get_args(each.annotation) for each in member.model_fields.values() if _is_literal(each.annotation)]
-        words = [words[0] for words in literals if len(words) == 1]
-        return f"<{words[0] if words else next(iter(member.model_fields))}>"
-    return "<none>" if member is NoneType else "<list>" if get_origin(member) is tuple else "<number>"
-
-
-def _is_literal(annotation: Any) -> bool:
-    return get_origin(annotation) is Literal
 
 
 Tagger = Callable[[Any, Collection[str]], str | None]

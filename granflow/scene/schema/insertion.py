@@ -6,15 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import (
-    Fault,
-    ListOf,
-    Model,
-    choose_by_first_key,
-    choose_by_key,
-    redundant,
-    whole,
-)
+from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.fields import ListOf, Model, choose_by_first_key, choose_by_key
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, Rectangular
 
@@ -23,13 +16,21 @@ Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 
 
 class BoxRegion(Model):
-    """An insertion region: a box. Particles lie entirely inside."""
+    """An insertion region: a box. Particles lie entirely inside.
+
+    >>> gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=["10 cm", 0.1, 0.1])).box.max
+    (0.1, 0.1, 0.1)
+    """
 
     box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
 
 
 class CylinderRegion(Model):
-    """An insertion region: a cylinder. Particles lie entirely inside."""
+    """An insertion region: a cylinder. Particles lie entirely inside.
+
+    >>> gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"}).cylinder.radius
+    0.05
+    """
 
     cylinder: CylinderShape = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
 
@@ -42,17 +43,27 @@ Region = Annotated[
 
 
 class LatticeInsertion(Model):
-    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits."""
+    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits.
 
-    kind: Literal["lattice"] = Field(description="kind of insertion")
+    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1]))
+    >>> gf.LatticeInsertion(region=region, jitter=0.2).jitter
+    0.2
+    """
+
+    kind: Literal["lattice"] = Field("lattice", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
     jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
 
 
 class PackInsertion(Model):
-    """Particles in a random packing without overlap in a region; solid fraction up to about 0.55."""
+    """Particles in a random packing without overlap in a region; solid fraction up to about 0.55.
 
-    kind: Literal["pack"] = Field(description="kind of insertion")
+    >>> region = gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"})
+    >>> gf.PackInsertion(region=region).region.cylinder.radius
+    0.05
+    """
+
+    kind: Literal["pack"] = Field("pack", description="kind of insertion")
     region: Region = Field(description="region to fill: a box or a cylinder")
 
 
@@ -84,9 +95,13 @@ class RainInsertion(TimedInsertion):
     """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
 
     Particles without a free position are queued and inserted first in the next batch. Walls are not considered.
+
+    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0.1], max=[0.1, 0.1, 0.2]))
+    >>> gf.RainInsertion(region=region, mass_flow="2 t/h", end="1 s").end
+    1.0
     """
 
-    kind: Literal["rain"] = Field(description="kind of insertion")
+    kind: Literal["rain"] = Field("rain", description="kind of insertion")
     region: Region = Field(description="region of the insertion: a box or a cylinder")
 
 
@@ -107,13 +122,21 @@ class DiscOutline(Model):
 
 
 class RectangleFace(Model):
-    """A rectangle through which particles enter."""
+    """A rectangle through which particles enter.
+
+    >>> gf.RectangleFace(rectangle={"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}).rectangle.corner
+    (0.0, 0.0, 0.0)
+    """
 
     rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")
 
 
 class DiscFace(Model):
-    """A disc through which particles enter."""
+    """A disc through which particles enter.
+
+    >>> gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"}).disc.radius
+    0.03
+    """
 
     disc: DiscOutline = Field(description="{center: [..], normal: [..], radius: ..}")
 
@@ -131,9 +154,13 @@ class InletInsertion(TimedInsertion):
     """Insertion through a face: particles appear directly downstream of it with the velocity of the group.
 
     The positions are random; particles without a free position are queued.
+
+    >>> face = gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"})
+    >>> gf.InletInsertion(face=face, rate="800 1/s").rate
+    800.0
     """
 
-    kind: Literal["inlet"] = Field(description="kind of insertion")
+    kind: Literal["inlet"] = Field("inlet", description="kind of insertion")
     face: Face = Field(description="face of the inlet: a rectangle or a disc")
 
 
@@ -154,17 +181,24 @@ class FileInsertion(Model):
 
     Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a material
     column, the group gets the rows of its material.
+
+    >>> gf.FileInsertion(file="start.csv")
+    FileInsertion(file='start.csv')
     """
 
-    kind: Literal["file"] = Field(description="kind of insertion")
+    kind: Literal["file"] = Field("file", description="kind of insertion")
     file: FileBelow = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
 
 
 class PositionsInsertion(Model):
-    """Particles at given positions."""
+    """Particles at given positions.
 
-    kind: Literal["positions"] = Field(description="kind of insertion")
+    >>> gf.PositionsInsertion(positions=[[0, 0, 0], ["1 cm", 0, 0]]).positions
+    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0))
+    """
+
+    kind: Literal["positions"] = Field("positions", description="kind of insertion")
     positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
 
 

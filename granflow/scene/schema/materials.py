@@ -38,6 +38,9 @@ class Material(Model):
     """Material of particles and walls. A preset supplies the values that are not given here.
 
     Isotropic and linear elastic; a material without a yield strength never yields.
+
+    >>> gf.Material(young_modulus="70 GPa", poisson_ratio=0.25, density="2.5 g/cm3").young_modulus
+    70000000000.0
     """
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "young_modulus", "poisson_ratio", "density"))
@@ -79,6 +82,9 @@ class RestitutionFit(Model):
     """Restitution that decreases with the impact velocity v [m/s] (Zhou 2011, Eq. 12).
 
     e(v) = exp(-sigma (v / (vlim - v))^psi)   for v < vlim, else 0
+
+    >>> gf.RestitutionFit(preset="stainless_316", limit_velocity="20 m/s").limit_velocity
+    20.0
     """
 
     model_config = ConfigDict(json_schema_extra=required_unless("preset", "sigma", "psi"))
@@ -118,6 +124,9 @@ class MaterialPair(Model):
     """Contact properties of two materials, independent of their order.
 
     Required for each two materials that can come into contact, including contacts of a material with itself.
+
+    >>> gf.MaterialPair(restitution=0.9, friction=0.5)
+    MaterialPair(restitution=0.9, friction=0.5)
     """
 
     restitution: Restitution = Field(

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Model, Names, choose_by_key, redundant, whole
+from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.fields import Model, Names, choose_by_key
 
 
 class TimedMotion(Model):
@@ -29,7 +30,7 @@ class TimedMotion(Model):
             yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
 
 
-class VibrationSpec(TimedMotion):
+class Vibration(TimedMotion):
     """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
 
         displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
@@ -37,9 +38,12 @@ class VibrationSpec(TimedMotion):
 
     The position is continuous at the start; the velocity is too if phase is 90 deg or -90 deg. The center of the
     oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
+
+    >>> gf.Vibration(direction=[0, 0, 1], amplitude="2 mm", frequency="25 Hz")
+    Vibration(direction=(0.0, 0.0, 1.0), amplitude=0.002, frequency=25.0)
     """
 
-    kind: Literal["vibration"] = Field(description="kind of motion")
+    kind: Literal["vibration"] = Field("vibration", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
     amplitude: q.UnscaledLength | None = Field(None, description="amplitude, half of the peak-to-peak value [m]")
     frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
@@ -78,34 +82,44 @@ class VibrationSpec(TimedMotion):
         return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
 
 
-class TranslationSpec(TimedMotion):
-    """Motion at a constant velocity [m/s]."""
+class Translation(TimedMotion):
+    """Motion at a constant velocity [m/s].
 
-    kind: Literal["translation"] = Field(description="kind of motion")
+    >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
+    Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
+    """
+
+    kind: Literal["translation"] = Field("translation", description="kind of motion")
     velocity: q.VelocityVector = Field(description="velocity [m/s]")
 
 
-class RotationSpec(TimedMotion):
+class Rotation(TimedMotion):
     """Rotation about an axis at a constant rate, right-handed.
 
     The torque on the wall refers to `point`.
+
+    >>> gf.Rotation(point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm").angular_velocity
+    3.141592653589793
     """
 
-    kind: Literal["rotation"] = Field(description="kind of motion")
+    kind: Literal["rotation"] = Field("rotation", description="kind of motion")
     point: q.Point = Field(description="a point on the axis [m]")
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angular_velocity: q.AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
 
 
-class ServoSpec(TimedMotion):
+class Servo(TimedMotion):
     """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
 
         v = gain (F - f),      |v| <= velocity_max
 
     F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
+
+    >>> gf.Servo(direction=[0, 0, -1], pressure="2 kPa", velocity_max="1 m/s").pressure
+    2000.0
     """
 
-    kind: Literal["servo"] = Field(description="kind of motion")
+    kind: Literal["servo"] = Field("servo", description="kind of motion")
     direction: q.Direction = Field(description="direction of the force on the particles; its length does not matter")
     force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
     pressure: q.Pressure | None = Field(
@@ -125,20 +139,23 @@ class ServoSpec(TimedMotion):
             yield redundant("pressure", "force")
 
 
-class FreeWallSpec(TimedMotion):
+class FreeWall(TimedMotion):
     """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
 
         M dv/dt = f + M g + force - damping v
 
     f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
+
+    >>> gf.FreeWall(direction=[0, 0, 1], mass="200 g").mass
+    0.2
     """
 
-    kind: Literal["free"] = Field(description="kind of motion")
+    kind: Literal["free"] = Field("free", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
     mass: q.Mass = Field(description="mass of the wall [kg]")
     force: q.Force = Field(0.0, description="additional force along the direction [N]")
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
-MotionSpec = Annotated[VibrationSpec | TranslationSpec | RotationSpec | ServoSpec | FreeWallSpec, choose_by_key("kind")]
+MotionSpec = Annotated[Vibration | Translation | Rotation | Servo | FreeWall, choose_by_key("kind")]
 """Any kind of motion; the key `kind` selects it."""

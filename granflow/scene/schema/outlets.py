@@ -27,19 +27,31 @@ class DiscGiven(Model):
 
 
 class BoxOutlet(Model):
-    """Particles whose center is in a box are deleted at the next rebuild of the neighbor list."""
+    """Particles whose center is in a box are deleted at the next rebuild of the neighbor list.
+
+    >>> gf.BoxOutlet(box=gf.Box(min=[0, 0, -0.2], max=[0.1, 0.1, -0.1])).box.min
+    (0.0, 0.0, -0.2)
+    """
 
     box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
 
 
 class HalfSpaceOutlet(Model):
-    """Particles whose center is in a half space are deleted at the next rebuild of the neighbor list."""
+    """Particles whose center is in a half space are deleted at the next rebuild of the neighbor list.
+
+    >>> gf.HalfSpaceOutlet(half_space={"point": [0, 0, -0.1], "normal": [0, 0, -1]}).half_space.point
+    (0.0, 0.0, -0.1)
+    """
 
     half_space: HalfSpaceGiven = Field(description="a half space, {point: [..], normal: [..]}")
 
 
 class DiscOutlet(Model):
-    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next rebuild."""
+    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next rebuild.
+
+    >>> gf.DiscOutlet(disc={"center": [0, 0, 0], "normal": [0, 0, -1], "radius": "2 cm"}).disc.radius
+    0.02
+    """
 
     disc: DiscGiven = Field(description="a disc, {center: [..], normal: [..], radius: ..}")
 

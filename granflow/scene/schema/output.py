@@ -8,13 +8,17 @@ from pydantic import Field
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.analysis import AnyMetric, FieldGrid
-from granflow.scene.schema.fields import Fault, Flag, FlagOrNames, Model, Name, redundant
+from granflow.scene.schema.faults import Fault, redundant
+from granflow.scene.schema.fields import Flag, FlagOrNames, Model, Name
 
 
-class FlowMeterSpec(Model):
+class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
 
     Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+
+    >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
+    0.02
     """
 
     point: q.Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
@@ -43,6 +47,9 @@ class Checkpoints(Model):
     """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
 
     A checkpoint is due at simulated or wall-clock times, whichever is first.
+
+    >>> gf.Checkpoints(wall_clock="5 min").wall_clock
+    300.0
     """
 
     wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
@@ -56,6 +63,9 @@ class Output(Model):
     """Selection and intervals of the output.
 
     Times are simulated times [s]; the energy budget and wall forces cost time in each step.
+
+    >>> gf.Output(interval="5 ms", contacts=True).timeseries_interval
+    0.005
     """
 
     interval: q.PositiveTime = Field(description="time between VTU frames [s]")
@@ -71,7 +81,7 @@ class Output(Model):
         False,
         description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
     )
-    flow_meters: dict[Name, FlowMeterSpec] = Field({}, description="flow meters by name")
+    flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
     metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
     checkpoint: Checkpoints = Field(Checkpoints.model_construct(), description="interval and number of checkpoints")

@@ -8,7 +8,8 @@ from pydantic import Field, Tag, model_validator
 
 from granflow.scene.document import KeyPath
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Flag, Model, Text, choose_by, missing, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import Flag, Model, Text, choose_by
 from granflow.scene.schema.insertion import Insertion
 from granflow.scene.schema.sizes import Sizes, SizeSpec
 
@@ -37,6 +38,10 @@ class Group(Model):
 
     Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
     give an end time instead. Of several limits, the smallest number of particles applies.
+
+    >>> insertion = gf.PositionsInsertion(positions=[[0, 0, 0], [0, 0, 0.1]])
+    >>> gf.Group(material="glass", diameter="4 mm", insert=insertion).count
+    2
     """
 
     material: Text = Field(description="name of the particles' material")

@@ -39,6 +39,9 @@ class RunSettings(Model):
     """Duration, time step and precision of a run.
 
     An automatic time step follows from the stiffest contact at `velocity_max`, with the fractions in `numerics`.
+
+    >>> gf.RunSettings(duration="50 ms", precision="mixed")
+    RunSettings(duration=0.05, precision='mixed')
     """
 
     duration: q.PositiveTime | None = Field(None, description="simulated time [s]; only without stages")
@@ -58,6 +61,9 @@ class Numerics(Model):
     """Numerical parameters, all with defaults.
 
     They limit numerical errors and do not represent physical properties.
+
+    >>> gf.Numerics(time_step_fraction=0.1)
+    Numerics(time_step_fraction=0.1)
     """
 
     time_step_fraction: Fraction = Field(

@@ -13,15 +13,8 @@ from granflow.scene.document import Document
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.contact import Contact
 from granflow.scene.schema.domain import Domain
-from granflow.scene.schema.expect import ExpectationSpec
-from granflow.scene.schema.fields import (
-    FileName,
-    ListOf,
-    Model,
-    Name,
-    PairName,
-    Text,
-)
+from granflow.scene.schema.expect import Expectation
+from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text
 from granflow.scene.schema.materials import Material, MaterialPair
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.outlets import Outlet
@@ -38,7 +31,7 @@ Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
 class SceneInput(Model):
     """A complete scene as written, in SI units: validated, but not resolved; `granflow.load.Scene` is.
 
-    Immutable. `text` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
+    Immutable. `to_yaml` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
     """
 
     title: Text = Field(description="title of the scene, one line")
@@ -67,7 +60,7 @@ class SceneInput(Model):
     run: RunSettings = Field(RunSettings.model_construct(), description="duration, time step and precision")
     numerics: Numerics = Field(Numerics.model_construct(), description="numerical parameters, all with defaults")
     output: Output = Field(description="selection and intervals of the output")
-    expect: Annotated[tuple[ExpectationSpec, ...], ListOf()] = Field(
+    expect: Annotated[tuple[Expectation, ...], ListOf()] = Field(
         (), description="expectations for the results of the finished run"
     )
 
@@ -125,7 +118,7 @@ class SceneInput(Model):
         key = f"{first}-{second}"
         return key if key in self.pairs else f"{second}-{first}"
 
-    def text(self) -> str:
+    def to_yaml(self) -> str:
         """The resolved scene as YAML with all defaults, in SI units; the text loads to an equal scene."""
         # The serializer of this class: a subclass, which has the same fields, would build another one.
         return to_yaml(SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True))

@@ -9,7 +9,8 @@ from pydantic import AfterValidator, Field
 
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, FileName, Model, require
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import FileName, Model, require
 
 
 def _is_below_folder(name: str) -> bool:
@@ -27,7 +28,11 @@ FileBelow = Annotated[
 
 
 class Box(Model):
-    """A box with edges along the coordinate axes."""
+    """A box with edges along the coordinate axes.
+
+    >>> gf.Box(min=[0, 0, 0], max=["10 cm", 0.1, 0.1])
+    Box(min=(0.0, 0.0, 0.0), max=(0.1, 0.1, 0.1))
+    """
 
     min: q.Point = Field(description="corner with the smallest coordinates [m]")
     max: q.Point = Field(description="corner with the largest coordinates [m]")

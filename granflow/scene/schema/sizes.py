@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, ListOf, Model, choose_by_key
+from granflow.scene.schema.faults import Fault
+from granflow.scene.schema.fields import ListOf, Model, choose_by_key
 from granflow.scene.schema.numbers import whole_error
 
 _ROUNDING = 1e-12  # tolerance of the sum of fractions
@@ -30,15 +31,23 @@ class TruncatedSizes(Model):
 
 
 class UniformSizes(TruncatedSizes):
-    """Uniformly distributed diameters from `min` to `max` [m]."""
+    """Uniformly distributed diameters from `min` to `max` [m].
 
-    distribution: Literal["uniform"] = Field(description="kind of size distribution")
+    >>> gf.UniformSizes(min="3 mm", max="5 mm")
+    UniformSizes(min=0.003, max=0.005)
+    """
+
+    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
 
 
 class NormalSizes(TruncatedSizes):
-    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
+    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
 
-    distribution: Literal["normal"] = Field(description="kind of size distribution")
+    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
+    0.004
+    """
+
+    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
     mean: q.Diameter = Field(description="mean diameter before truncation [m]")
     deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
 
@@ -48,9 +57,13 @@ class NormalSizes(TruncatedSizes):
 
 
 class LogNormalSizes(TruncatedSizes):
-    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur."""
+    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
 
-    distribution: Literal["log_normal"] = Field(description="kind of size distribution")
+    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
+    0.2
+    """
+
+    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
     median: q.Diameter = Field(description="median diameter before truncation [m]")
     sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
 
@@ -60,7 +73,11 @@ class LogNormalSizes(TruncatedSizes):
 
 
 class SizeClass(Model):
-    """One diameter and its fraction of all particles."""
+    """One diameter and its fraction of all particles.
+
+    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
+    SizeClass(diameter=0.004, fraction=0.5)
+    """
 
     diameter: q.Diameter = Field(description="diameter [m]")
     fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
@@ -87,9 +104,13 @@ class ClassSizes(Model):
     """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
 
     The number of particles of each class is exact to one particle.
+
+    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
+    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
+    0.75
     """
 
-    distribution: Literal["classes"] = Field(description="kind of size distribution")
+    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
     by: Literal["number", "mass"] = Field(
         description="number: fractions of the particle count; mass: fractions of the mass"
     )

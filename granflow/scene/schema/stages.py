@@ -5,13 +5,17 @@ from collections.abc import Iterator
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, Model, Name, missing, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import Model, Name
 
 
 class Stage(Model):
     """A part of the run that ends after a duration, or when the particles are at rest.
 
     Walls and motions may be limited to stages.
+
+    >>> gf.Stage(name="settle", kinetic_energy_below="1 nJ", max_duration="2 s").max_duration
+    2.0
     """
 
     name: Name = Field(description="name of the stage")

@@ -6,16 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import (
-    Fault,
-    ListOf,
-    Model,
-    Names,
-    Text,
-    choose_by_key,
-    redundant,
-    whole,
-)
+from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.fields import ListOf, Model, Names, Text, choose_by_key
 from granflow.scene.schema.motions import MotionSpec
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular
@@ -54,17 +46,24 @@ class Plane(Wall):
     """An infinite plane; the half space behind it is solid, the particles are on the side of the normal.
 
     Its area is infinite: it has forces, but no pressure.
+
+    >>> gf.Plane(material="steel", point=[0, 0, 0], normal=[0, 0, 1])
+    Plane(material='steel', point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     """
 
-    shape: Literal["plane"] = Field(description="shape of the wall")
+    shape: Literal["plane"] = Field("plane", description="shape of the wall")
     point: q.Point = Field(description="a point on the plane [m]")
     normal: q.Direction = Field(description="normal, toward the particles; its length does not matter")
 
 
 class Rectangle(Rectangular, Wall):
-    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m]."""
+    """A thin, flat, two-sided rectangle with the corner and the two edge vectors [m].
 
-    shape: Literal["rectangle"] = Field(description="shape of the wall")
+    >>> gf.Rectangle(material="steel", corner=[0, 0, 0], sides=[["5 cm", 0, 0], [0, "5 cm", 0]]).sides
+    ((0.05, 0.0, 0.0), (0.0, 0.05, 0.0))
+    """
+
+    shape: Literal["rectangle"] = Field("rectangle", description="shape of the wall")
 
 
 class AxialWall(Axial, Wall):
@@ -72,16 +71,24 @@ class AxialWall(Axial, Wall):
 
 
 class Cylinder(AxialWall):
-    """A thin two-sided cylinder without end faces, with the length of the axis."""
+    """A thin two-sided cylinder without end faces, with the length of the axis.
 
-    shape: Literal["cylinder"] = Field(description="shape of the wall")
+    >>> gf.Cylinder(material="steel", from_=[0, 0, 0], to=[0, 0, "20 cm"], radius="5 cm").radius
+    0.05
+    """
+
+    shape: Literal["cylinder"] = Field("cylinder", description="shape of the wall")
     radius: q.PositiveLength = Field(description="radius [m]")
 
 
 class Cone(AxialWall):
-    """A thin two-sided cone frustum without end faces; one radius may be 0."""
+    """A thin two-sided cone frustum without end faces; one radius may be 0.
 
-    shape: Literal["cone"] = Field(description="shape of the wall")
+    >>> gf.Cone(material="steel", from_=[0, 0, 0], to=[0, 0, 0.1], radius_from="1 cm", radius_to="5 cm").radius_to
+    0.05
+    """
+
+    shape: Literal["cone"] = Field("cone", description="shape of the wall")
     radius_from: q.NotNegativeLength = Field(description="radius at `from` [m]")
     radius_to: q.NotNegativeLength = Field(description="radius at `to` [m]")
 
@@ -93,9 +100,13 @@ class Cone(AxialWall):
 
 
 class Disc(Wall):
-    """A thin, two-sided disc, optionally with a circular hole at its center."""
+    """A thin, two-sided disc, optionally with a circular hole at its center.
 
-    shape: Literal["disc"] = Field(description="shape of the wall")
+    >>> gf.Disc(material="steel", center=[0, 0, 0], normal=[0, 0, 1], radius="5 cm", hole_radius="1 cm").hole_radius
+    0.01
+    """
+
+    shape: Literal["disc"] = Field("disc", description="shape of the wall")
     center: q.Point = Field(description="center [m]")
     normal: q.Direction = Field(description="normal; its length and sign do not matter")
     radius: q.PositiveLength = Field(description="outer radius [m]")
@@ -109,7 +120,11 @@ class Disc(Wall):
 
 
 class RotationStep(Model):
-    """A right-handed rotation about an axis through the origin."""
+    """A right-handed rotation about an axis through the origin.
+
+    >>> gf.RotationStep(axis=[1, 0, 0], angle="90 deg")
+    RotationStep(axis=(1.0, 0.0, 0.0), angle=1.5707963267948966)
+    """
 
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angle: q.Angle = Field(description="angle [rad], such as 90 deg")
@@ -119,9 +134,12 @@ class MeshWall(Wall):
     """Two-sided triangles from a file, transformed in this order: scale, rotate, translate.
 
     The orientation of the triangles has no effect; open edges are valid.
+
+    >>> gf.MeshWall(material="steel", file="meshes/bowl.stl", scale=0.001).file
+    'meshes/bowl.stl'
     """
 
-    shape: Literal["mesh"] = Field(description="shape of the wall")
+    shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
     file: FileBelow = Field(
         description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene, without .."
     )

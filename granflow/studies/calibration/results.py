@@ -131,7 +131,7 @@ def write_best_scenes(
         settings = {key: si_value(value) for key, value in settings_of(calibration, name, values).items()}
         scene = load_scene(path, overrides_of(settings))
         target = out / ("best.yaml" if len(scenes) == 1 else f"best_{name}.yaml")
-        write_text(target, scene.text())
+        write_text(target, scene.to_yaml())
         _copy_inputs(scene, out)
         written.append(target)
     return written

@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import Fault, FileName, ListOf, Model, Name, Text, missing, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import FileName, ListOf, Model, Name, Text
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.scene import Seed
 from granflow.scene.suggest import suggestion_or_list

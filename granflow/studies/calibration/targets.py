@@ -14,8 +14,8 @@ import numpy as np
 
 from granflow.errors import FileError
 from granflow.io.tables import read_table
+from granflow.io.time_series import TimeSeriesTable, read_series
 from granflow.studies.calibration.schema import Target
-from granflow.studies.report.series import TimeSeriesTable, read_series
 from granflow.studies.run_processes.outcome import numbers_of
 
 CURVE_COLUMNS = ("time", "value")

@@ -18,10 +18,10 @@ from granflow import (
     SceneError,
     Simulation,
     on_interval,
+    read_run,
     steady_flow,
 )
 from granflow.contact import theory
-from granflow.io.tables import read_table
 from granflow.studies.accuracy.scene_runs import longest_run
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival
@@ -128,7 +128,7 @@ def run_variant(
         timing.neighbor_list + timing.advance,
         timing.compile,
         stopped,
-        read_time_series(out / "timeseries.csv"),
+        dict(read_run(out).timeseries_arrays),
         np.array(heights.rows),
         heights.typical_speed,
         forces,
@@ -143,17 +143,6 @@ def hertz_duration(scene: Scene, velocity: float) -> float:
         k = theory.hertz_stiffness(pair_case.pair.modulus_eff, pair_case.radius_eff)
         durations.append(float(theory.duration(1.0, k, pair_case.mass_eff, velocity)))
     return min(durations)
-
-
-def read_time_series(path: Path) -> dict[str, np.ndarray]:
-    """Columns of a timeseries.csv by name without unit, (rows,) each; `stage` as strings, all others as float64.
-
-    Empty cells become nan.
-    """
-    table = read_table(path)
-    assert table is not None
-    names = [name.partition(" [")[0] for name in table.names]
-    return {name: np.array(table.texts(k)) if name == "stage" else table.numbers(k) for k, name in enumerate(names)}
 
 
 def run_all(

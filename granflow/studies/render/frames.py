@@ -6,26 +6,12 @@ The PVD files give the times; files that no longer exist are skipped.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.regular_files import FormatError, open_regular
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_reader import read_vtu
+from granflow.io.frame_reader import file_at, listed_frames, read_mesh, require_directory
 from granflow.scene.schema.units import UnitError, to_si
-from granflow.studies.report.record import require_directory
-
-SAME_TIME = 1e-9
-"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
-
-HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
-"""Text near the beginning of an empty VTU file."""
-
-
-LARGEST_FRAME = 2**32
-"""Maximum size of all arrays of one frame in bytes."""
 
 
 @dataclass(frozen=True)
@@ -94,38 +80,17 @@ def frames_of(directory: Path) -> list[Frame]:
     Raises GranflowError if the directory does not exist or contains no frames, or if a PVD file cannot be read.
     """
     require_directory(directory)
-    series = _series(directory, "particles")
+    series = listed_frames(directory, "particles")
     if not series:
         why = "it is not the directory of a run"
         if any((directory / name).exists() for name in ("run.log", "scene_as_run.yaml")):
             why = "the scene writes none (output.particles), or the run ended before the first one"
         raise GranflowError(f"{directory} contains no particle frames (particles.pvd is missing): {why}.")
-    walls, contacts = _series(directory, "walls"), _series(directory, "contacts")
+    walls, contacts = listed_frames(directory, "walls"), listed_frames(directory, "contacts")
     return [
-        Frame(int(path.stem.rpartition("_")[2]), time, path, _at(walls, time), _at(contacts, time))
+        Frame(int(path.stem.rpartition("_")[2]), time, path, file_at(walls, time), file_at(contacts, time))
         for time, path in series
     ]
-
-
-def _series(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
-    listing = directory / f"{stem}.pvd"
-    if not listing.exists():
-        return []
-    try:
-        rows = ElementTree.parse(listing).iter("DataSet")
-        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
-    except (ElementTree.ParseError, KeyError, ValueError) as error:
-        raise GranflowError(
-            f"{listing} cannot be read ({error}); write it again with granflow run or resume."
-        ) from None
-    return [(time, path) for time, path in found if path.exists()]
-
-
-def _at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
-    """File of the given time [s] in another series of the same run."""
-    near = min(series, key=lambda each: abs(each[0] - time), default=None)
-    return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
 
 
 def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
@@ -184,17 +149,3 @@ def read_force_chains(frame: Frame) -> ForceChains | None:
     ends = mesh.points[np.concatenate([np.zeros((0, 2), np.int64), *lines])]
     forces = mesh.cell_data.get("normal_force", [])
     return ForceChains(ends, np.concatenate([np.zeros(0), *forces])[: len(ends)])
-
-
-def is_empty(path: Path) -> bool:
-    """Whether a VTU file is empty."""
-    with open_regular(path) as file:
-        return EMPTY in file.read(HEADER_SIZE)
-
-
-def read_mesh(path: Path) -> VtuMesh:
-    """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
-    try:
-        return read_vtu(path, LARGEST_FRAME)
-    except (FormatError, OSError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from granflow import Scene
+from granflow import Scene, read_run
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
 from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
@@ -23,7 +23,6 @@ from granflow.studies.render.frames import (
 )
 from granflow.studies.render.legend import WIDTH, colors_of, legend_strip
 from granflow.studies.render.renderer import Renderer, require_pyvista
-from granflow.studies.report.record import scene_as_run
 
 HEIGHT = 1200
 """Height of a picture without a given size [pixels]."""
@@ -124,7 +123,8 @@ def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> I
 
 def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
     """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
-    scene, _ = scene_as_run(directory)
+    run = read_run(directory)
+    scene = None if run.scene_problem else run.scene
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)

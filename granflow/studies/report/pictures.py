@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.io.frame_reader import is_empty
 from granflow.studies.render.camera import VIEWS
-from granflow.studies.render.frames import Frame, frames_of, is_empty
+from granflow.studies.render.frames import Frame, frames_of
 
 MOST_PICTURES = 6
 """Maximum number of pictures in the page."""

@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from granflow.io.time_series import SeriesColumn, TimeSeriesTable
 from granflow.studies.figures import COLORS
-from granflow.studies.report.series import PlotGroup, SeriesColumn, TimeSeriesTable, thinned
+from granflow.studies.report.series import PlotGroup, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 """Line styles: one for each repetition of the colors."""

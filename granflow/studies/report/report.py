@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from granflow import Run, read_run
 from granflow.io.atomic_files import replacing
 from granflow.studies.page import page_text
 from granflow.studies.report import sections
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
-from granflow.studies.report.record import RunRecord, read_record
 
 
 def write_report(
@@ -20,7 +20,7 @@ def write_report(
     `pictures`: include pictures, and render some if there are none. `report` is called with a message about missing
     packages. Raises GranflowError if the directory is not that of a run, or if files cannot be read.
     """
-    record = read_record(directory)
+    record = read_run(directory)
     script = library()
     if not script:
         report(sections.NO_LIBRARY)
@@ -33,7 +33,7 @@ def write_report(
     return path
 
 
-def report_text(record: RunRecord, script: str, pictures: RunPictures | None) -> str:
+def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
     """The page: results first, then the computation. `script` is the plot library; empty for a page without plots."""
     plan, problem = sections.plan(record)
     return page_text(

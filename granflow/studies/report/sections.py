@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from granflow import explain, plan_for
+from granflow import Run, explain, plan_for
 from granflow.errors import GranflowError
 from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
-from granflow.studies.report.log import explanation, warnings_and_errors
+from granflow.io.log_reader import explanation, sessions, warnings_and_errors
+from granflow.io.time_series import SeriesColumn
 from granflow.studies.report.plots import Plot, plot_of
-from granflow.studies.report.record import RunRecord
-from granflow.studies.report.series import SeriesColumn, groups_of
+from granflow.studies.report.series import groups_of
 from granflow.studies.tables import PageTable
 from granflow.visible_text import readable
 
@@ -60,25 +60,25 @@ BAR_STEPS = 30
 """Length of the bar of the total wall-clock time, in blocks."""
 
 
-def state_of(record: RunRecord) -> str:
+def state_of(record: Run) -> str:
     """One sentence on how the run ended."""
     if record.is_running:
         return "The run is in progress; this page shows its present state."
-    if record.result:
-        parts = len(record.sessions)
+    if record.result_sections:
+        parts = len(sessions(record.log))
         return f"The run is complete; it was resumed ({parts} sessions)." if parts > 1 else "The run is complete."
-    text = next((entry.text for entry in reversed(record.entries) if entry.text.startswith(ENDED_BY)), "")
+    text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
     why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
     resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
     return f"The run did not finish{why}. {resume}"
 
 
-def progress(record: RunRecord) -> PageTable:
+def progress(record: Run) -> PageTable:
     """Simulated time, performance and particle counts."""
-    numbers = dict(record.result.get("run", {}))
+    numbers = dict(record.result_sections.get("run", {}))
     if record.time is not None:
         numbers = {"simulated_time": record.time} | numbers
-    totals = record.result.get("totals", {})
+    totals = record.result_sections.get("totals", {})
     numbers |= {name: totals.get(name) for name in ("particle_count", "inserted_count")}
     rows = [row for row in map(_number_row, numbers.items()) if row[1]]
     return PageTable(("", "", ""), rows, "Progress and performance.")
@@ -95,11 +95,11 @@ def _shown(number: Any) -> str:
     return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
 
 
-def expectations(record: RunRecord) -> PageTable:
+def expectations(record: Run) -> PageTable:
     """Expectations of the scene and their results."""
     rows = [
         ("\N{CHECK MARK} satisfied" if entry["met"] else "\N{BALLOT X} not satisfied", entry["sentence"])
-        for entry in record.result.get("expect", ())
+        for entry in record.result_sections.get("expect", ())
     ]
     return PageTable(("", "result"), rows, "Expectations of the scene (expect).")
 
@@ -116,7 +116,7 @@ def topic_of(column: SeriesColumn) -> str:
     return next(topics, ENERGIES if column.unit == "J" or quantity.startswith("energy") else OTHERS)
 
 
-def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
+def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
     """Sections of flow, wall forces, energy budget, and all other quantities over time.
 
     Columns of zeros are listed instead of plotted. `with_plots`: whether the plot library is available.
@@ -127,7 +127,7 @@ def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
         return
     zero_columns = [column.text for column in series.columns if is_zero(column)]
     tables = {title: _readings(record, title) for title in READINGS} | {ENERGIES: _energy_budget(series.columns)}
-    error = record.result.get("totals", {}).get("energy_error")
+    error = record.result_sections.get("totals", {}).get("energy_error")
     for title in (*READINGS, ENERGIES, OTHERS):
         sentences = []
         if title == OTHERS and zero_columns:
@@ -143,9 +143,9 @@ def topics(record: RunRecord, with_plots: bool) -> Iterator[Topic]:
             yield found
 
 
-def _readings(record: RunRecord, title: str) -> list[PageTable]:
+def _readings(record: Run, title: str) -> list[PageTable]:
     """Final values of flow meters or walls; from the last row of the time series if the run has no result."""
-    readings, caption = record.result.get(READINGS[title].key, {}), READINGS[title].caption
+    readings, caption = record.result_sections.get(READINGS[title].key, {}), READINGS[title].caption
     if not readings and record.series is not None:
         caption = "The last row of timeseries.csv."
         for column in record.series.columns:
@@ -176,10 +176,10 @@ def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
     return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
-def timings(record: RunRecord) -> PageTable | None:
+def timings(record: Run) -> PageTable | None:
     """Wall-clock time by phase [s], in descending order; None if the run has no timings."""
-    seconds = {name: number for name, number in record.result.get("timings", {}).items() if number is not None}
-    total = max(record.result.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
+    seconds = {name: number for name, number in record.result_sections.get("timings", {}).items() if number is not None}
+    total = max(record.result_sections.get("run", {}).get("wall_clock") or 0.0, sum(seconds.values()))
     if not seconds or not total > 0.0:
         return None
     seconds["other"] = total - sum(seconds.values())
@@ -190,10 +190,10 @@ def timings(record: RunRecord) -> PageTable | None:
     return PageTable(("", "s", "share", ""), rows, f"Total wall-clock time: {total:.4g} s.")
 
 
-def plan(record: RunRecord) -> tuple[str, str]:
+def plan(record: Run) -> tuple[str, str]:
     """Decisions of the plan with their reasons, from the log, or recomputed from the resolved scene; or the problem."""
-    text = explanation(record.entries)
-    if not text and record.scene is not None:
+    text = explanation(record.log)
+    if not text and not record.scene_problem:
         try:
             text = explain(plan_for(record.scene))
         except GranflowError as error:
@@ -201,25 +201,25 @@ def plan(record: RunRecord) -> tuple[str, str]:
     return text, ""
 
 
-def machine(record: RunRecord) -> PageTable:
+def machine(record: Run) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
         (each.started, each.arch, each.precision, each.compiled and f"{each.compiled} s", each.versions,
          each.resumed_from)
-        for each in record.sessions
+        for each in sessions(record.log)
     ]  # fmt: skip
     return PageTable(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
 
 
-def warnings(record: RunRecord) -> PageTable:
+def warnings(record: Run) -> PageTable:
     """Warnings and errors of the run."""
-    return PageTable(("time", "", "message"), list(warnings_and_errors(record.entries)), FROM_LOG)
+    return PageTable(("time", "", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
 
 
-def remaining_numbers(record: RunRecord) -> list[PageTable]:
+def remaining_numbers(record: Run) -> list[PageTable]:
     """Numbers of the result without a separate section."""
     found = []
-    for name, numbers in record.result.items():
+    for name, numbers in record.result_sections.items():
         if name in SEPARATE or not isinstance(numbers, Mapping) or not numbers:
             continue
         caption = f"{name} in result.json"

@@ -68,7 +68,7 @@ def checked_run(
 
 def scene_hash(scene: Scene, arch: str) -> str:
     """Hash of the resolved scene, of the mesh and particle files that it reads, and of the compute device."""
-    digest = hashlib.sha256(f"{arch}\n{scene.text()}".encode())
+    digest = hashlib.sha256(f"{arch}\n{scene.to_yaml()}".encode())
     files = [wall.file for wall in scene.walls.values() if wall.shape == "mesh"]
     files += [group.insert.file for group in scene.particles.values() if group.insert.kind == "file"]
     for name in files:

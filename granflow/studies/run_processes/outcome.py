@@ -7,6 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+from granflow import GranflowError, read_run
 from granflow.io.atomic_files import write_text
 
 DONE, MISSED, REFUSED, ABORTED = "done", "expectation missed", "refused", "aborted"
@@ -71,13 +72,11 @@ def numbers_of(directory: Path) -> dict[str, float]:
 
     Empty if the run has no result.
     """
-    result = read_json(directory / "result.json") or {}
-    named = {**result.get("run", {}), **result.get("totals", {})}
-    named.update({f"timings.{part}": seconds for part, seconds in result.get("timings", {}).items()})
-    for section in ("flow_meters", "wall_forces", "metrics", "insertion"):
-        for part, readings in result.get(section, {}).items():
-            named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
-    return {name: nan if number is None else number for name, number in named.items()}
+    try:
+        result = read_run(directory).result
+    except GranflowError:
+        return {}
+    return {} if result is None else result.numbers
 
 
 def worst(outcomes: Iterable[Outcome]) -> Outcome:

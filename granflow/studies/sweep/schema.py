@@ -6,18 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.fields import (
-    Fault,
-    FileName,
-    ListOf,
-    Model,
-    Text,
-    choose_by,
-    choose_by_key,
-    missing,
-    shorthand,
-    whole,
-)
+from granflow.scene.schema.faults import Fault, missing, whole
+from granflow.scene.schema.fields import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.scene import Seed
 

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.figures import COLORS
 from granflow.studies.report.plots import Plot
-from granflow.studies.report.series import SeriesColumn, TimeSeriesTable, read_series, thinned
+from granflow.studies.report.series import thinned
 from granflow.studies.sweep.axes import axis, layout, plain
 
 MOST_RUNS = 60

@@ -1,0 +1,63 @@
+"""Reads the frames of a run: PVD files with times, and VTU files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+from granflow.errors import GranflowError
+from granflow.io.regular_files import FormatError, open_regular
+from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_reader import read_vtu
+
+SAME_TIME = 1e-9
+"""Relative tolerance of times for frames of particles, walls and contacts that belong together."""
+
+HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
+"""Text near the beginning of an empty VTU file."""
+
+
+LARGEST_FRAME = 2**32
+"""Maximum size of all arrays of one frame in bytes."""
+
+
+def require_directory(directory: Path) -> None:
+    """Raise GranflowError if the directory of a run does not exist."""
+    if not directory.is_dir():
+        raise GranflowError(
+            f"{directory}: there is no such directory; give the directory of a run, such as out/hopper."
+        )
+
+
+def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
+    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
+    listing = directory / f"{stem}.pvd"
+    if not listing.exists():
+        return []
+    try:
+        rows = ElementTree.parse(listing).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        raise GranflowError(
+            f"{listing} cannot be read ({error}); write it again with granflow run or resume."
+        ) from None
+    return [(time, path) for time, path in found if path.exists()]
+
+
+def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
+    """File of the given time [s] in another series of the same run."""
+    near = min(series, key=lambda each: abs(each[0] - time), default=None)
+    return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+
+
+def is_empty(path: Path) -> bool:
+    """Whether a VTU file is empty."""
+    with open_regular(path) as file:
+        return EMPTY in file.read(HEADER_SIZE)
+
+
+def read_mesh(path: Path) -> VtuMesh:
+    """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
+    try:
+        return read_vtu(path, LARGEST_FRAME)
+    except (FormatError, OSError) as error:
+        raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None

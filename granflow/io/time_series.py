@@ -1,0 +1,69 @@
+"""`timeseries.csv` as columns with units."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import FileError, GranflowError
+from granflow.io.tables import read_table
+
+TIME, STAGE = "time", "stage"
+"""Names of the first two columns of timeseries.csv."""
+
+
+@dataclass(frozen=True)
+class SeriesColumn:
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """Name for display: "flow mass, outlet"."""
+        quantity, _, part = self.name.partition(".")
+        return quantity.replace("_", " ") + (f", {part}" if part else "")
+
+
+@dataclass(frozen=True)
+class TimeSeriesTable:
+    """All columns over `time` (n,) [s], the stage of each row (n,), and start time [s] and name of each stage."""
+
+    time: np.ndarray
+    stage: np.ndarray
+    columns: tuple[SeriesColumn, ...]
+    stages: tuple[tuple[float, str], ...]
+
+
+def read_series(path: Path) -> TimeSeriesTable | None:
+    """Columns of a time series without an incomplete last line; None if it has no rows.
+
+    Cells that are not numbers become nan. Raises GranflowError if the file is not CSV.
+    """
+    if not path.exists():
+        return None
+    try:
+        found = read_table(path)
+    except FileError as error:
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
+    if found is None:
+        return None
+    table, labels = found.complete(), [_split(head) for head in found.names]
+    names = [name for name, _ in labels]
+    if not table.rows or TIME not in names:
+        return None
+    numbers = {name: table.numbers(k) for k, name in enumerate(names) if name != STAGE}
+    time = numbers.pop(TIME)
+    units = dict(labels)
+    columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
+    stage = table.texts(names.index(STAGE)) if STAGE in names else [""] * len(time)
+    begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
+    return TimeSeriesTable(time, np.array(stage), columns, tuple(begins))
+
+
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of "kinetic_energy [J]"."""
+    name, _, unit = head.partition(" [")
+    return name, unit.removesuffix("]")

@@ -1,0 +1,252 @@
+"""Reads a run from the files in its directory, complete or not: scene, log, time series, frames, result."""
+
+import os
+from bisect import bisect_right
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.frame_reader import read_mesh, require_directory
+from granflow.io.lock import locked
+from granflow.io.log_reader import LogEntry, read_log
+from granflow.io.regular_files import read_regular_text, resolved
+from granflow.io.time_series import TimeSeriesTable, read_series
+from granflow.load import Scene, load
+from granflow.runs.result import Result, read_sections, result_of
+from granflow.runs.stored_frames import (
+    Frames,
+    array_frames,
+    cell_arrays,
+    contact_arrays,
+    filled_frames,
+    particle_arrays,
+)
+from granflow.runs.table_columns import Columns
+from granflow.snapshot import Snapshot
+from granflow.visible_text import html_table, numbered, visible_line
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the directory of a run."""
+
+RUN_FILES = (SCENE, "run.log", "timeseries.csv", "result.json", "particles.pvd")
+"""Files that identify the directory of a run; at least one must exist."""
+
+ABORTED = "ended by RunError"
+"""Beginning of the last log entry of an aborted run."""
+
+
+def read_run(directory: str | os.PathLike[str]) -> "Run":
+    """The run in a directory, such as "out/hopper"; it may be in progress, aborted or incomplete.
+
+    Files are read at the first access of the corresponding attribute; Taichi is not imported. Raises GranflowError if
+    the directory does not exist or contains no file of a run.
+
+    >>> import granflow as gf
+    >>> run = gf.read_run("out/two")
+    >>> run
+    <Run "Two steel spheres" in out/two: complete, 0.02 s, 101 frames>
+    >>> float(run.timeseries["kinetic_energy"].iloc[-1]) > 0
+    True
+    """
+    path = Path(directory)
+    require_directory(path)
+    if not any((path / name).exists() for name in RUN_FILES):
+        raise GranflowError(f"{path} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}.")
+    return Run(path)
+
+
+class Run:
+    """A run in its directory; `read_run` creates it. All numbers are in SI units.
+
+    Attributes that read a damaged file raise GranflowError with the file and the reason.
+
+    >>> import granflow as gf
+    >>> run = gf.read_run("out/two")
+    >>> run.status, run.scene.gravity, round(run.time, 3)
+    ('complete', (0.0, 0.0, 0.0), 0.02)
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The resolved scene of the run. Raises SceneError if this version cannot read it."""
+        return load(self.directory / SCENE)
+
+    @cached_property
+    def scene_problem(self) -> str:
+        """The reason why `scene` cannot be read; empty if it can."""
+        try:
+            return "" if self.scene else ""
+        except GranflowError as error:
+            return str(error)
+
+    @property
+    def scene_text(self) -> str:
+        """The resolved scene as YAML; empty if its file is missing."""
+        path = self.directory / SCENE
+        return read_regular_text(path) if path.exists() else ""
+
+    @property
+    def title(self) -> str:
+        """Title of the scene, or name of the directory if the scene cannot be read."""
+        return resolved(self.directory).name if self.scene_problem else self.scene.title
+
+    @property
+    def status(self) -> str:
+        """ "complete", "running", "aborted" (RunError), or "unfinished": stopped before its end, can be resumed."""
+        if self.is_running:
+            return "running"
+        if self.result_sections:
+            return "complete"
+        last = next((entry.text for entry in reversed(self.log) if entry.level == "ERROR"), "")
+        return "aborted" if last.startswith(ABORTED) else "unfinished"
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a process is writing to the directory: it holds the lock."""
+        if not (self.directory / ".lock").exists():
+            return False
+        try:
+            with locked(self.directory):
+                return False
+        except (GranflowError, OSError):
+            return True
+
+    @property
+    def time(self) -> float | None:
+        """Simulated time [s] according to result or time series; None if the run has neither."""
+        simulated = self.result_sections.get("run", {}).get("simulated_time")
+        if simulated is not None:
+            return float(simulated)
+        return float(self.series.time[-1]) if self.series is not None else None
+
+    @cached_property
+    def log(self) -> list[LogEntry]:
+        """Entries of `run.log`: time, level and text; empty without a log."""
+        return read_log(self.directory / "run.log")
+
+    @cached_property
+    def result_sections(self) -> dict[str, Any]:
+        """Sections of `result.json`; empty if the run is not complete."""
+        return read_sections(self.directory / "result.json")
+
+    @property
+    def result(self) -> Result | None:
+        """The numbers of the completed run; None if the run is not complete (see `status`)."""
+        return result_of(self.result_sections) if self.result_sections else None
+
+    @cached_property
+    def series(self) -> TimeSeriesTable | None:
+        """The time series with units and stages; None without rows."""
+        return read_series(self.directory / "timeseries.csv")
+
+    @cached_property
+    def timeseries_arrays(self) -> Columns:
+        """Columns of `timeseries.csv` by name without unit, (rows,) each; `stage` is text. Empty without rows."""
+        if self.series is None:
+            return Columns({}, {})
+        arrays = {each.name: each.values for each in self.series.columns}
+        units = {each.name: each.unit for each in self.series.columns}
+        first = {"time": self.series.time, "stage": self.series.stage}
+        return Columns(first | arrays, {"time": "s", "stage": ""} | units)
+
+    @property
+    def timeseries(self) -> "DataFrame":
+        """The time series as a pandas DataFrame with a row for each time; `attrs["units"]` has the units.
+
+        Columns: `time` [s], `stage`, totals such as `kinetic_energy`, and `QUANTITY.NAME` of flow meters, walls and
+        metrics. Raises GranflowError if pandas is not installed.
+        """
+        return self.timeseries_arrays.to_pandas()
+
+    @property
+    def flow_meters(self) -> dict[str, Columns]:
+        """Time series of each flow meter by name: flow_mass [kg], flow_count, mass_flow [kg/s] over time [s]."""
+        return self._parts(self.scene.output.flow_meters)
+
+    @property
+    def wall_forces(self) -> dict[str, Columns]:
+        """Time series of each measured wall by name: wall_force_x [N], wall_pressure [Pa], ... over time [s]."""
+        return self._parts(self.scene.measured_walls)
+
+    @property
+    def metrics(self) -> dict[str, Columns]:
+        """Time series of each metric of the scene by name."""
+        return self._parts(self.scene.output.metrics)
+
+    def _parts(self, names: Any) -> dict[str, Columns]:
+        return {name: self.timeseries_arrays.part(name) for name in names}
+
+    @cached_property
+    def frames(self) -> Frames[Snapshot]:
+        """Particles at each output time that has some, as Snapshots with `time`, `stage` and `particles`.
+
+        Masses [kg] follow from the densities of the scene, if it can be read. `contacts` is None: see `Run.contacts`.
+        Walls and totals are empty, and the step number is 0.
+        """
+        return Frames(filled_frames(self.directory, "particles"), self._snapshot)
+
+    @cached_property
+    def contacts(self) -> Frames[Mapping[str, np.ndarray]]:
+        """Contacts at each output time, as mappings from names to arrays (c,) or (c, 3); empty without such files."""
+        return array_frames(self.directory, "contacts", contact_arrays)
+
+    @cached_property
+    def fields(self) -> dict[str, Frames[Mapping[str, np.ndarray]]]:
+        """Coarse-grained fields by name: frames of arrays (cells,) or (cells, k), with `position` of the cells [m]."""
+        stems = sorted(path.stem for path in self.directory.glob("fields_*.pvd"))
+        return {stem.removeprefix("fields_"): array_frames(self.directory, stem, cell_arrays) for stem in stems}
+
+    def snapshot(self, index: int = -1) -> Snapshot:
+        """One frame with particles and contacts; `contacts` is None if the run did not write them at its time.
+
+        `index`: as in `frames`. Raises IndexError if there is no such frame.
+        """
+        frame = self.frames[index]
+        return Snapshot(frame.time, 0, frame.stage, frame.particles, self.contacts.at(frame.time), {}, {})
+
+    def _snapshot(self, time: float, path: Path) -> Snapshot:
+        """Snapshot of the particles in a file."""
+        arrays = particle_arrays(read_mesh(path))
+        if "radius" in arrays and "material" in arrays and not self.scene_problem:
+            density = np.array([material.density for material in self.scene.materials.values()])
+            arrays["radius"] = arrays["radius"].astype(np.float64)
+            arrays["mass"] = 4.0 / 3.0 * np.pi * arrays["radius"] ** 3 * density[arrays["material"]]
+        return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
+
+    def _stage_at(self, time: float) -> str:
+        """Stage in the last row of the time series at or before `time` [s]; else the first stage; else empty."""
+        first = "" if self.scene_problem else self.scene.schedule[0].name
+        if self.series is None:
+            return first
+        row = bisect_right(self.series.time.tolist(), time) - 1
+        return str(self.series.stage[max(row, 0)])
+
+    def __repr__(self) -> str:
+        """One line: title, directory, status, simulated time [s], number of frames."""
+        shown = ", ".join(text for _, text in self._summary())
+        return f'<Run "{visible_line(self.title)}" in {visible_line(self.directory)}: {shown}>'
+
+    def _repr_html_(self) -> str:
+        """Table of the run for notebooks: status and the main numbers of the result."""
+        totals = self.result_sections.get("totals", {})
+        numbers = [(name.replace("_", " "), f"{totals[name]:g}") for name in _SHOWN if totals.get(name) is not None]
+        return html_table(self.title, [("directory", str(self.directory)), *self._summary(), *numbers])
+
+    def _summary(self) -> list[tuple[str, str]]:
+        """Rows of the displays of a run: label and text."""
+        time = "no time series" if self.time is None else f"{self.time:.4g} s"
+        return [("status", self.status), ("simulated time", time), ("frames", numbered(len(self.frames), "frame"))]
+
+
+_SHOWN = ("particle_count", "contact_count", "kinetic_energy", "energy_error")
+"""Totals in the display of a run in notebooks."""

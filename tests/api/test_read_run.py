@@ -1,0 +1,143 @@
+"""Runs read back from their directories, complete or not."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scene_builders import box, build_scene, particle_group
+
+import granflow as gf
+
+POSITIONS = 0.0098 * (np.argwhere(np.ones((3, 3, 3))) + 0.5)
+
+
+@pytest.fixture(scope="module")
+def reference(taichi_f64, tmp_path_factory):
+    """Directory of a run with contacts, wall forces, a flow meter, a metric and fields; its result and snapshots."""
+    path = tmp_path_factory.mktemp("run") / "out"
+    random = np.random.default_rng(1)
+    scene = build_scene(
+        {"beads": particle_group(POSITIONS, 0.01, velocity=random.normal(0.0, 0.3, POSITIONS.shape))},
+        walls=box(0.0294), gravity=[0.0, 0.0, -9.81], numerics={"max_overlap": 0.3}, run={"velocity_max": 2.0},
+        stages=[{"name": "first", "duration": 0.001}, {"name": "last", "duration": 0.002}],
+        output={
+            "interval": 0.001, "contacts": True, "wall_forces": ["low_z"], "fields": {"bed": {"cells": [2, 2, 2]}},
+            "flow_meters": {"middle": {"point": [0, 0, 0.015], "normal": [0, 0, 1]}},
+            "metrics": {"bed": {"kind": "coordination"}},
+        },
+        expect=[{"quantity": "particle_count", "equals": 27, "tolerance": 0}],
+    )  # fmt: skip
+    snapshots = []
+    wants = ("particles", "totals", "contacts")
+    simulation = gf.Simulation(scene, out=path, observers=[gf.on_interval(0.001, snapshots.append, wants)])
+    result = simulation.run()
+    simulation.free()
+    return path, result, snapshots
+
+
+@pytest.fixture
+def run(reference):
+    return gf.read_run(str(reference[0]))
+
+
+def test_numbers_equal_those_of_the_run(run, reference):
+    _, result, snapshots = reference
+    assert run.status == "complete" and run.time == result.run["simulated_time"]
+    assert run.result.numbers == pytest.approx(result.numbers, nan_ok=True)
+    assert run.result.expectations == result.expectations and run.result.expectations[0].met
+    series = run.timeseries_arrays
+    assert series["kinetic_energy"].tolist() == [each.totals["kinetic_energy"] for each in snapshots]
+    assert series["stage"].tolist() == [each.stage for each in snapshots]
+    assert series.units["kinetic_energy"] == "J" and series.units["time"] == "s"
+
+
+def test_frames_equal_the_snapshots(run, reference):
+    _, _, snapshots = reference
+    assert run.frames.times.tolist() == [each.time for each in snapshots]
+    for index, expected in enumerate(snapshots):
+        found = run.snapshot(index)
+        assert found.time == expected.time and found.stage == expected.stage
+        for name in ("position", "velocity", "radius", "mass"):
+            np.testing.assert_allclose(found.particles[name], expected.particles[name], rtol=2e-6, atol=1e-8)
+        np.testing.assert_array_equal(found.contacts["id_i"], expected.contacts["id_i"])
+        np.testing.assert_allclose(found.contacts["force"], expected.contacts["force"], rtol=2e-6, atol=1e-9)
+    assert run.frames[-1].contacts is None and len(run.frames[1:]) == len(snapshots) - 1
+    assert run.contacts.at(0.5) is None and len(run.contacts.at(0.0)["overlap"]) == len(snapshots[0].contacts["force"])
+    with pytest.raises(IndexError):
+        run.frames[99]
+
+
+def test_observers_have_tables(run):
+    meter, wall = run.flow_meters["middle"], run.wall_forces["low_z"]
+    whole = run.timeseries_arrays
+    np.testing.assert_array_equal(meter["flow_mass"], whole["flow_mass.middle"])
+    np.testing.assert_array_equal(wall["wall_force_z"], whole["wall_force_z.low_z"])
+    assert meter.units["mass_flow"] == "kg/s" and "time" in wall and "wall_force_z" not in meter
+    np.testing.assert_array_equal(run.metrics["bed"]["rattler_share"], whole["rattler_share.bed"])
+    assert run.fields["bed"][-1]["position"].shape == (8, 3) and run.fields["bed"][-1]["density"].shape == (8,)
+
+
+def test_time_series_is_a_data_frame(run, monkeypatch):
+    pandas = pytest.importorskip("pandas")
+    table = run.timeseries
+    assert isinstance(table, pandas.DataFrame) and table.attrs["units"]["kinetic_energy"] == "J"
+    assert table["kinetic_energy"].tolist() == run.timeseries_arrays["kinetic_energy"].tolist()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(gf.GranflowError, match=r"requires pandas.*pip install granflow\[notebook\], or use the numpy"):
+        _ = run.timeseries
+
+
+def test_representations_are_short(run, reference):
+    assert repr(run) == f'<Run "Trial" in {reference[0]}: complete, {run.time:.4g} s, {len(run.frames)} frames>'
+    assert repr(run.result).startswith(f"<Result: simulated time {run.time:.4g} s, steps ")
+    assert repr(run.result).endswith("particles 27, expectations 1 of 1 met>")
+    assert repr(run.snapshot(0)).startswith("<Snapshot at 0 s, step 0, stage first: 27 particles with ")
+    assert all(len(repr(each)) < 400 for each in (run, run.result, run.snapshot(-1), run.frames, run.scene))
+    assert "<td" in run._repr_html_() and "kinetic_energy" in run.result._repr_html_()
+
+
+def stopped(tmp_path, log=""):
+    """A directory with the files of a run without a result."""
+    (tmp_path / "timeseries.csv").write_text("time [s],stage,kinetic_energy [J]\n0.0,fill,1\n0.5,fill,2\n0.75,fi")
+    (tmp_path / "run.log").write_text(log)
+    return gf.read_run(tmp_path)
+
+
+def test_unfinished_runs_are_readable(tmp_path):
+    run = stopped(tmp_path)
+    assert run.status == "unfinished" and run.result is None and run.time == 0.5
+    assert run.timeseries_arrays["kinetic_energy"].tolist() == [1.0, 2.0]
+    assert len(run.frames) == 0 and len(run.contacts) == 0 and run.fields == {}
+    assert repr(run) == f'<Run "{tmp_path.name}" in {tmp_path}: unfinished, 0.5 s, 0 frames>'
+    with pytest.raises(gf.SceneError, match="there is no such file"):
+        _ = run.scene
+
+
+def test_status_of_an_aborted_run(tmp_path):
+    run = stopped(tmp_path, "2026-01-02 03:04:08,000 ERROR granflow: ended by RunError: it burst\n")
+    assert run.status == "aborted" and run.log[-1].text == "ended by RunError: it burst"
+
+
+def test_damaged_files_are_reported(tmp_path):
+    (tmp_path / "result.json").write_text("{")
+    with pytest.raises(gf.GranflowError, match=r"result\.json cannot be read"):
+        _ = gf.read_run(tmp_path).result
+    (tmp_path / "result.json").write_text(json.dumps({"run": {"simulated_time": None}}))
+    assert np.isnan(gf.read_run(tmp_path).result.run["simulated_time"])
+
+
+def test_a_directory_without_a_run_is_refused(tmp_path):
+    with pytest.raises(gf.GranflowError, match="is not the directory of a run: it contains none of scene_as_run"):
+        gf.read_run(tmp_path)
+    with pytest.raises(gf.GranflowError, match="there is no such directory; give the directory of a run"):
+        gf.read_run(tmp_path / "none")
+
+
+def test_reading_a_run_does_not_import_taichi(reference):
+    code = (
+        "import sys, granflow; run = granflow.read_run(sys.argv[1]); run.scene, run.result, run.frames[-1], repr(run);"
+        "sys.exit('taichi' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code, str(reference[0])]).returncode == 0
