@@ -34,6 +34,11 @@ class ContactLaws:
         return self.tangential is not None
 
     @property
+    def has_tangential_dashpot(self) -> bool:
+        """Whether the tangential model has a dashpot."""
+        return self.tangential is not None and self.tangential.damped
+
+    @property
     def has_rolling(self) -> bool:
         """Whether a rolling model acts."""
         return self.rolling is not None

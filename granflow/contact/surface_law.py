@@ -7,6 +7,7 @@ In addition to the members of `contact` for all models, see `law`, the struct ha
     stiffness            no-slip tangential stiffness [N/m]
     stiffness_ratio      ratio of the previous to the present stiffness
     slip                 relative tangential displacement in this step [m]; tangential laws
+    normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential laws
     rolling_rate         relative angular velocity [rad/s]; rolling laws
     inertia_eff          effective moment of inertia [kg m2]; rolling laws
     longest_time_step    longest time step of the run [s]; rolling laws
@@ -28,7 +29,12 @@ SurfaceState: TypeAlias = SimpleNamespace
 
 @dataclass(frozen=True)
 class TangentialLaw(Law):
-    """A tangential contact model."""
+    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
+
+    @property
+    def damped(self) -> bool:
+        """Whether `force` reads `normal_damping`."""
+        return False
 
     @ti.func
     def force(self, constants, contact, history):

@@ -65,7 +65,21 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
             radius_max,
         )
         laws[slot] = model.law.from_scene(request)
-    return ContactLaws(**laws)
+    found = ContactLaws(**laws)
+    if found.has_tangential_dashpot and not found.normal.has_dashpot:
+        _refuse_dashpot(scene)
+    return found
+
+
+def _refuse_dashpot(scene: Scene) -> None:
+    """Raise SceneError for a tangential dashpot if the normal model has none, of which it is a multiple."""
+    damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
+    damping = scene.contact.options("tangential")["damping"]
+    raise SceneError(
+        f"{scene.locate('contact', 'tangential', 'damping')}: contact.tangential.damping is {damping:g}, a multiple of "
+        f"the dashpot of the normal model, but {scene.contact.name('normal')} has none; write 0, or choose "
+        f"{' or '.join(damped)} as normal model."
+    )
 
 
 def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
@@ -109,6 +123,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
         yield_strength(a, b),
         options,
         has_tangential_force=any(_acts(model, [pair]) for model in surface),
+        tangential_stiffness=scene.contact.options("tangential").get("stiffness"),
     )
 
 

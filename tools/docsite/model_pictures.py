@@ -99,7 +99,7 @@ def _loop(x: str, y: str) -> str:
     path = np.concatenate([np.linspace(0, 2, 100), np.linspace(2, -2, 200), np.linspace(-2, 2, 200)])
     displacement, forces = np.zeros(3), []
     for step in np.diff(path, prepend=0.0):
-        force, displacement = reference_spring(1.0, 1.0, 1.0, displacement, np.array([step, 0.0, 0.0]))
+        force, displacement = reference_spring(1.0, 1.0, displacement, np.array([step, 0.0, 0.0]))
         forces.append(-force[0])
     axis.plot(path, forces, color=COLORS[0])
     _label(axis, x, y)

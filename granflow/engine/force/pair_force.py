@@ -106,7 +106,7 @@ def build_surface_contact(plan: Plan) -> Any:
 
     Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
     """
-    law = plan.laws.normal
+    law, laws = plan.laws.normal, plan.laws
 
     @ti.func
     def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities, longest_time_step):
@@ -114,6 +114,9 @@ def build_surface_contact(plan: Plan) -> Any:
         if ti.static(law.tangential_stiffness_grows):
             overlap_before = contact.overlap - contact.time_step * kinematics.overlap_rate_half
             ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
+        normal_damping = 0.0 * contact.overlap
+        if ti.static(laws.has_tangential_dashpot):
+            normal_damping = law.damping(constants.normal, contact, history.normal)
         rotation = kinematics.arm * angular_velocities.first + kinematics.arm_partner * angular_velocities.partner
         return ti.Struct(
             radius_eff=contact.radius_eff,
@@ -128,6 +131,7 @@ def build_surface_contact(plan: Plan) -> Any:
             normal_load=load,
             stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
             stiffness_ratio=ratio,
+            normal_damping=normal_damping,
             slip=contact.time_step * (kinematics.velocity_tangential - rotation.cross(kinematics.normal)),
             rolling_rate=angular_velocities.first - angular_velocities.partner,
         )
