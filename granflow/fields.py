@@ -224,7 +224,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("elastic_energy", "Ee", "J", "recoverable energy stored in contacts"),
         Quantity("plastic_dissipation", "", "J", "energy dissipated by unloading steeper than loading"),
         Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
-        Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling friction"),
+        Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
         Quantity("damping_dissipation", "", "J", "energy dissipated by viscous damping"),
         Quantity("wall_work", "", "J", "work of moving walls on the particles"),
         Quantity(

@@ -262,4 +262,4 @@ def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
         SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has none; write 0, or choose hertz"
     ):
         plan_for(scene_of(tmp_path, *given))
-    assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.has_tangential_dashpot
+    assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)

@@ -39,6 +39,7 @@ def picture(slot: str, name: str) -> str:
         "normal": _normal,
         "tangential": lambda name: _loop("displacement / displacement at slip", "tangential force / Coulomb limit"),
         "rolling": _rolling,
+        "twisting": lambda name: _loop("twist angle / angle at the limit", "torque / limit"),
         "cohesion": lambda name: _sjkr() if name == "sjkr" else _cohesion(name),
     }
     return draw[slot](name)

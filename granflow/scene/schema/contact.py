@@ -41,7 +41,7 @@ class LawSettings(Model):
 class Contact(Model):
     """Contact models, the same for all pairs of materials.
 
-    Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
+    Normal force, tangential force (friction), rolling and twisting torque, cohesion; friction coefficients
     are properties of the pairs.
     """
 
@@ -49,6 +49,7 @@ class Contact(Model):
     normal: LawSettings
     tangential: str | LawSettings
     rolling: str | LawSettings
+    twisting: str | LawSettings
     cohesion: str | LawSettings
 
     def name(self, slot: str) -> str:
@@ -65,6 +66,8 @@ class Contact(Model):
         return {key: option.default for key, option in model.options.items()} if model else {}
 
 
+OPTIONAL = ("twisting", "cohesion")
+"""Slots that a scene may omit: they have no model."""
 _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 """End of the description of a slot."""
 
@@ -103,7 +106,7 @@ def _slot(slot: str) -> tuple[Any, Any]:
         reason = f"it must be {_either([*words, *examples])}"
         annotation = Annotated[Union[tuple(members)], choose_by(_slot_tagger(words, mappings), reason)]  # noqa: UP007
     description = _either([*texts, *examples]) + _LAST_WORDS.get(slot, "")
-    return annotation, Field("none", description=description) if slot == "cohesion" else Field(description=description)
+    return annotation, Field("none", description=description) if slot in OPTIONAL else Field(description=description)
 
 
 def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -> Callable[[Any], str | None]:
