@@ -54,10 +54,10 @@ MODEL = ContactModel(
     "torsion spring and dashpot with a limit",
     options={
         "stiffness": Amount(
-            "twisting stiffness [N m/rad]", *("1 mNm/rad", "torsion_stiffness", "a twisting stiffness"), above=0
+            "twisting stiffness [Nm/rad]", *("1 mNm/rad", "torsion_stiffness", "a twisting stiffness"), above=0
         ),
         "damping": Amount(
-            "twisting dashpot [N m s]", *("1 uNms", "torsion_damping", "a twisting dashpot"), at_least=0, default=0.0
+            "twisting dashpot [Nms]", *("1 uNms", "torsion_damping", "a twisting dashpot"), at_least=0, default=0.0
         ),
     },
     pair_options=(
