@@ -137,6 +137,8 @@ class NormalLaw(Law):
     branch_free: ClassVar[bool] = True
     """True if `force` has no branch, so that contacts can be evaluated in SIMD batches. Other models use full
     neighbor lists."""
+    has_dashpot: ClassVar[bool] = False
+    """True for a model with `damping`."""
     limits_restitution: ClassVar[bool] = False
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
 
@@ -197,6 +199,11 @@ class NormalLaw(Law):
         kt = 8 G sqrt(R d)
         """
         return 8.0 * constants.shear_modulus_eff * ti.sqrt(contact.radius_eff * contact.overlap)
+
+    @ti.func
+    def damping(self, constants, contact, history):
+        """Ratio of the viscous force to the overlap rate at the present overlap [N s/m]."""
+        return 0.0 * contact.overlap
 
     @ti.func
     def attraction(self, constants, contact, history):

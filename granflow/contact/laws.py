@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from granflow.contact.law import CohesionLaw, HistoryField, Law, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.surface_law import RollingLaw, TangentialLaw
+from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,7 @@ class ContactLaws:
     tangential: TangentialLaw | None = None
     rolling: RollingLaw | None = None
     cohesion: CohesionLaw | None = None
+    twisting: TwistingLaw | None = None
 
     @property
     def by_slot(self) -> Mapping[str, Law]:
@@ -24,6 +25,7 @@ class ContactLaws:
             "normal": self.normal,
             "tangential": self.tangential,
             "rolling": self.rolling,
+            "twisting": self.twisting,
             "cohesion": self.cohesion,
         }
         return {slot: law for slot, law in laws.items() if law is not None}
@@ -34,9 +36,20 @@ class ContactLaws:
         return self.tangential is not None
 
     @property
+    def damped_slots(self) -> tuple[str, ...]:
+        """Slots, tangential or twisting, whose model has a dashpot that is a multiple of that of the normal model."""
+        laws = {"tangential": self.tangential, "twisting": self.twisting}
+        return tuple(slot for slot, law in laws.items() if law is not None and law.damped)
+
+    @property
     def has_rolling(self) -> bool:
         """Whether a rolling model acts."""
         return self.rolling is not None
+
+    @property
+    def has_twisting(self) -> bool:
+        """Whether a twisting model acts."""
+        return self.twisting is not None
 
     @property
     def has_cohesion(self) -> bool:

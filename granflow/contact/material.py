@@ -72,6 +72,8 @@ class PairMaterial:
     options: Mapping[str, float] = field(default_factory=dict)
     has_tangential_force: bool = False
     """Whether a tangential or rolling model acts between the two."""
+    tangential_stiffness: float | None = None
+    """Stiffness [N/m] of a tangential model that does not take that of the normal model."""
 
     def restitution_at(self, velocity: float) -> float:
         """Restitution coefficient at an approach velocity [m/s]. Raises ValueError if the pair has none."""

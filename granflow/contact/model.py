@@ -6,7 +6,7 @@ from typing import Any, Literal, TypeAlias
 
 from granflow.contact.law import CohesionLaw, Law, NormalLaw
 from granflow.contact.options import Option, PairOption
-from granflow.contact.surface_law import RollingLaw, TangentialLaw
+from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 
 RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
 """Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the materials."""
@@ -15,6 +15,7 @@ SLOTS: Mapping[str, type[Law]] = {
     "normal": NormalLaw,
     "tangential": TangentialLaw,
     "rolling": RollingLaw,
+    "twisting": TwistingLaw,
     "cohesion": CohesionLaw,
 }
 """Keys of `contact`, in the order of evaluation, and the base class of the models of each."""

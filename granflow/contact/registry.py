@@ -8,7 +8,8 @@ from granflow.contact.model import SLOTS, ContactModel
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.options import PairOption
 from granflow.contact.rolling import cdt, epsd, sds, viscous
-from granflow.contact.tangential import mindlin
+from granflow.contact.tangential import linear_history, mindlin
+from granflow.contact.twisting import marshall, torsion_spring
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -70,5 +71,6 @@ def _problems(model: ContactModel) -> Iterator[str]:
 
 
 _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
-for _module in (*_NORMAL, mindlin, epsd, cdt, sds, viscous, sjkr, dmt, jkr, capillary, van_der_waals):
+_SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
+for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, van_der_waals):
     add(_module.MODEL)

@@ -1,4 +1,4 @@
-"""Interfaces of tangential and rolling models.
+"""Interfaces of tangential, rolling and twisting models.
 
 In addition to the members of `contact` for all models, see `law`, the struct has for the first particle of the pair:
 
@@ -7,7 +7,8 @@ In addition to the members of `contact` for all models, see `law`, the struct ha
     stiffness            no-slip tangential stiffness [N/m]
     stiffness_ratio      ratio of the previous to the present stiffness
     slip                 relative tangential displacement in this step [m]; tangential laws
-    rolling_rate         relative angular velocity [rad/s]; rolling laws
+    normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting laws
+    rolling_rate         relative angular velocity [rad/s]; rolling and twisting laws
     inertia_eff          effective moment of inertia [kg m2]; rolling laws
     longest_time_step    longest time step of the run [s]; rolling laws
 """
@@ -28,7 +29,12 @@ SurfaceState: TypeAlias = SimpleNamespace
 
 @dataclass(frozen=True)
 class TangentialLaw(Law):
-    """A tangential contact model."""
+    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
+
+    @property
+    def damped(self) -> bool:
+        """Whether `force` reads `normal_damping`."""
+        return False
 
     @ti.func
     def force(self, constants, contact, history):
@@ -59,6 +65,33 @@ class RollingLaw(Law):
     @ti.func
     def torque(self, constants, contact, history):
         """Rolling torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+
+@dataclass(frozen=True)
+class TwistingLaw(Law):
+    """A twisting model. Torques about the normal act on the first particle of a pair, the opposite ones on the second.
+
+    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff` and
+    `stiffness` are known.
+    """
+
+    @property
+    def damped(self) -> bool:
+        """Whether `torque` reads `normal_damping`."""
+        return False
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Twisting torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""

@@ -48,6 +48,10 @@ class SceneGroup:
         """The random number generator of the group (PCG64), independent of all other groups and of their order."""
         return np.random.default_rng(np.random.SeedSequence(self.seeds))
 
+    def velocity_random(self) -> np.random.Generator:
+        """The generator of random velocities, which do not change sizes and positions."""
+        return np.random.default_rng(np.random.SeedSequence((*self.seeds, 1)))
+
 
 def groups_of(scene: SceneInput) -> dict[str, SceneGroup]:
     """The groups of a scene by name."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from granflow.particles.group import SceneGroup
 from granflow.particles.packing import RegionFullError
+from granflow.particles.thermal import thermal_velocities
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,12 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray) ->
 
     A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles.
     """
-    count = len(radius)
+    count, velocity = len(radius), np.asarray(group.spec.velocity, dtype=np.float64)
+    if group.spec.thermal is not None:
+        velocity = velocity + thermal_velocities(group.spec.thermal, radius, group.velocity_random())
     return ParticleData(
         position=position,
-        velocity=np.broadcast_to(np.asarray(group.spec.velocity, dtype=np.float64), (count, 3)).copy(),
+        velocity=np.broadcast_to(velocity, (count, 3)).copy(),
         angular_velocity=np.broadcast_to(np.asarray(group.spec.angular_velocity, dtype=np.float64), (count, 3)).copy(),
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),

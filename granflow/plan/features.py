@@ -22,6 +22,8 @@ class Features:
     friction: bool
     rolling: str
     """Name of the rolling model, or "none"."""
+    twisting: str
+    """Name of the twisting model, or "none"."""
     rotation: bool
     rate_dependent: bool
     cohesion: str
@@ -56,14 +58,15 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
     """Derive all features from the scene.
 
     `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous term, so
-    that forces depend on synchronized velocities. Rotation is on only with friction or rolling friction: otherwise no
-    torque exists.
+    that forces depend on synchronized velocities. Rotation is on only with friction, rolling or twisting friction:
+    otherwise no torque exists.
     """
     classes = size_classes(scene)
     return Features(
         friction="tangential" in models,
         rolling=_name(models, "rolling"),
-        rotation="tangential" in models or "rolling" in models,
+        twisting=_name(models, "twisting"),
+        rotation=any(slot in models for slot in ("tangential", "rolling", "twisting")),
         rate_dependent=law_is_damped,
         cohesion=_name(models, "cohesion"),
         walls=bool(scene.walls),
@@ -94,8 +97,9 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
     reasons = {
         "friction": _model_reason(scene, "tangential", features.friction),
         "rolling": _model_reason(scene, "rolling", features.rolling != "none"),
+        "twisting": _model_reason(scene, "twisting", features.twisting != "none"),
         "rotation": (
-            "required by friction or rolling friction"
+            "required by friction, rolling friction or twisting friction"
             if features.rotation
             else "no torques: every pair has friction and rolling friction 0"
         ),

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from granflow.load import Scene
+from granflow.particles.thermal import largest_speed
 from granflow.plan.walls import surface_speed
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.particles import Group
@@ -70,9 +71,12 @@ def initial_speed(scene: Scene) -> float:
 
 
 def initial_speeds(scene: Scene) -> dict[str, float]:
-    """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles."""
+    """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles.
+
+    Random velocities count with `particles.thermal.largest_speed`.
+    """
     return {
-        name: max(_largest_norm(group.velocity), _in_file(group, "speed_max"))
+        name: max(_largest_norm(group.velocity) + _random_speed(group), _in_file(group, "speed_max"))
         for name, group in scene.particles.items()
     }
 
@@ -83,6 +87,11 @@ def initial_rotation_rates(scene: Scene) -> dict[str, float]:
         name: max(_largest_norm(group.angular_velocity), _in_file(group, "angular_velocity_max"))
         for name, group in scene.particles.items()
     }
+
+
+def _random_speed(group: Group) -> float:
+    """Largest expected random velocity [m/s] of a group; 0 without."""
+    return 0.0 if group.thermal is None else largest_speed(group.thermal, group.count)
 
 
 def _in_file(group: Group, name: str) -> float:

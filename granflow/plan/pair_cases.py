@@ -65,7 +65,21 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
             radius_max,
         )
         laws[slot] = model.law.from_scene(request)
-    return ContactLaws(**laws)
+    found = ContactLaws(**laws)
+    if found.damped_slots and not found.normal.has_dashpot:
+        _refuse_dashpot(scene, found.damped_slots[0])
+    return found
+
+
+def _refuse_dashpot(scene: Scene, slot: str) -> None:
+    """Raise SceneError for the dashpot of a slot if the normal model has none, of which it is a multiple."""
+    damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
+    damping = scene.contact.options(slot)["damping"]
+    raise SceneError(
+        f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
+        f"the dashpot of the normal model, but {scene.contact.name('normal')} has none; write 0, or choose "
+        f"{' or '.join(damped)} as normal model."
+    )
 
 
 def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
@@ -99,7 +113,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     else:
         restitution = given
     models = active_models(scene)
-    surface = [models[slot] for slot in ("tangential", "rolling") if slot in models]
+    surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
     options = {key: getattr(pair, key) or 0.0 for key in registry.pair_options()}
     return PairMaterial(
         modulus_eff(a, b),
@@ -109,6 +123,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
         yield_strength(a, b),
         options,
         has_tangential_force=any(_acts(model, [pair]) for model in surface),
+        tangential_stiffness=scene.contact.options("tangential").get("stiffness"),
     )
 
 

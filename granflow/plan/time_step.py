@@ -149,7 +149,7 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
 
     The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the viscous force
     lags by half a step. Masses M with z contacts of stiffness K and viscosity c, and tangential stiffness
-    Kt = 4 G/E K if there is friction, have at most
+    Kt = 4 G/E K, or that of the tangential model, if there is friction, have at most
 
         w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      if neighbors move in opposite directions
         w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts slip
@@ -160,12 +160,7 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
     normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
-    stiffness_ratio = (
-        4.0 * pair_case.pair.shear_modulus_eff / pair_case.pair.modulus_eff
-        if pair_case.pair.has_tangential_force
-        else 0.0
-    )
-    tangential, viscosity = stiffness_ratio * law.loading_stiffness(*pair_arguments), law.viscosity(*pair_arguments)
+    tangential, viscosity = _tangential_stiffness(pair_case, law, velocity), law.viscosity(*pair_arguments)
     margin = 4.0 - normal_modes * law.unloading_angle**2
     steps = (
         _largest_step(law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0),
@@ -173,6 +168,17 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
         _largest_step(tangential, 0.0, mass / tangential_modes, 4.0),
     )
     return STABLE_SHARE * min(steps)
+
+
+def _tangential_stiffness(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
+    """Tangential stiffness Kt [N/m] of a contact at an impact velocity [m/s]; 0 without friction."""
+    pair = pair_case.pair
+    if not pair.has_tangential_force:
+        return 0.0
+    if pair.tangential_stiffness is not None:
+        return pair.tangential_stiffness
+    normal = law.loading_stiffness(pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
+    return 4.0 * pair.shear_modulus_eff / pair.modulus_eff * normal
 
 
 def _largest_step(stiffness: float, viscosity: float, mass: float, limit: float) -> float:

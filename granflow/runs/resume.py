@@ -21,7 +21,17 @@ PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_cap
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
 
 FEATURE_SWITCHES = (
-    *("friction", "rolling", "rotation", "rate_dependent", "cohesion", "one_material", "energy_budget", "wall_forces"),
+    *(
+        "friction",
+        "rolling",
+        "twisting",
+        "rotation",
+        "rate_dependent",
+        "cohesion",
+        "one_material",
+        "energy_budget",
+        "wall_forces",
+    ),
     "fixed_particles",
 )
 """Features that determine which arrays exist."""

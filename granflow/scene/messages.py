@@ -133,10 +133,13 @@ class _SchemaError:
         The message lists the values of the key, or the reason that the union gives.
         """
         node = self.document.find(self.path)
-        if node is None or "reason" in self.context:
+        if node is None:
             return Fault(self.path, self.context.get("reason", "it cannot be read"))
-        key = self.context["key"]
         names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(self.schema, self.loc))]
+        if "reason" in self.context:
+            near = nearest(node.text, [name for name in names if " " not in name]) if node.text else None
+            return Fault(self.path, self.context["reason"] + (f". Did you mean {near}?" if near else ""))
+        key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
         if node.entries is not None and key in node.entries:
             return self._one_of((*self.path, key), names)

@@ -1,5 +1,7 @@
 """Requirements on every tangential and rolling model of the catalog."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contact.cases import SI, Units
@@ -8,14 +10,30 @@ from contact.test_registry import RECORDS
 
 from granflow.contact.law import ModelRequest
 from granflow.contact.material import PairMaterial
+from granflow.contact.tangential import linear_history, mindlin
+from granflow.contact.twisting import marshall, torsion_spring
 
-MODELS = [model for model in RECORDS if model.slot in ("tangential", "rolling")]
-every_model = pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.slot}-{model.name}")
-every_limited_model = pytest.mark.parametrize(
-    "model", [model for model in MODELS if model.pair_options], ids=lambda model: f"{model.slot}-{model.name}"
-)
+VARIANTS = [
+    replace(mindlin.MODEL, example={"increments": "displacement"}),
+    replace(mindlin.MODEL, example={"increments": "displacement", "unloading": "kept", "damping": 0.7}),
+    replace(mindlin.MODEL, example={"unloading": "kept"}),
+    replace(mindlin.MODEL, example={"damping": 1.3}),
+    replace(marshall.MODEL, example={"damping": 1.3}),
+    replace(torsion_spring.MODEL, example={"stiffness": 1e-3, "damping": 5e-9}),
+    replace(linear_history.MODEL, example={"stiffness": 3e4, "damping": 0.5}),
+]
+MODELS = [*(model for model in RECORDS if model.slot in ("tangential", "rolling", "twisting")), *VARIANTS]
+
+
+def name_of(model):
+    """Name of a test case."""
+    return "-".join([model.slot, model.name, *(str(value) for value in model.example.values())])
+
+
+every_model = pytest.mark.parametrize("model", MODELS, ids=name_of)
+every_limited_model = pytest.mark.parametrize("model", [model for model in MODELS if model.pair_options], ids=name_of)
 COEFFICIENT = 0.3
-"""Friction coefficient, and value of every other pair option in SI units."""
+"""Friction coefficient, and value of every other pair option in SI units; lengths are 1e-5 times this."""
 RADIUS, MASS, TIME_STEP = 0.01, 0.01, 1e-5
 STIFFNESS, LOAD, SLIP, RATE = 1e4, 2.0, 2e-5, 1e3
 """The spring reaches its limit COEFFICIENT * LOAD after three steps of SLIP [m]; largest RATE [rad/s]."""
@@ -25,10 +43,11 @@ def scales(units):
     """Value of the SI unit of each pair option, number and vector in other units."""
     torque, time = units.newton * units.meter, units.second
     return {
-        "number": 1.0, "time": units.second,
+        "number": 1.0, "time": units.second, "length": units.meter,
         "radius_eff": units.meter, "mass_eff": units.kilogram, "inertia_eff": units.kilogram * units.meter**2,
         "time_step": time, "longest_time_step": time, "overlap": units.meter, "overlap_rate": units.velocity,
         "normal_load": units.newton, "stiffness": units.newton / units.meter, "stiffness_ratio": 1.0,
+        "normal_damping": units.newton / units.velocity, "torsion_stiffness": torque, "torsion_damping": torque * time,
         "normal": 1.0, "normal_half": 1.0, "slip": units.meter, "rolling_rate": 1.0 / time,
         "force": units.newton, "torque": torque, "energy": torque,
     }  # fmt: skip
@@ -37,7 +56,13 @@ def scales(units):
 def law_and_pair(model, coefficient=COEFFICIENT, units=SI):
     """The law of a record with its example options, and a pair with the same value for all pair options."""
     given = {key: each.default for key, each in model.options.items()} | dict(model.example)
-    options = {each.key: coefficient * scales(units)[each.amount.dimension] for each in model.pair_options}
+    dimensions = {key: getattr(each, "dimension", None) for key, each in model.options.items()}
+    given |= {key: value * scales(units)[dimensions[key]] for key, value in given.items() if dimensions[key]}
+    sizes = {"length": 1e-5}
+    options = {
+        each.key: coefficient * sizes.get(each.amount.dimension, 1.0) * scales(units)[each.amount.dimension]
+        for each in model.pair_options
+    }
     pair = PairMaterial(4e7, 1.2e7, 0.5, coefficient, options=options)
     return model.law.from_scene(ModelRequest(given, (pair,), 1.0, 0.5, energy_budget=True)), pair
 
@@ -61,7 +86,8 @@ def paths(contacts, steps, seed=1, steady=False):
     before = np.concatenate([stiffness[:, :1], stiffness[:, :-1]], axis=1)
     numbers = {
         "radius_eff": RADIUS, "mass_eff": MASS, "inertia_eff": 0.4 * MASS * RADIUS**2, "time_step": TIME_STEP,
-        "longest_time_step": TIME_STEP, "overlap": 1e-4, "overlap_rate": 0.0, "stiffness": stiffness,
+        "longest_time_step": TIME_STEP, "overlap": 2.5e-3, "overlap_rate": 0.0, "stiffness": stiffness,
+        "normal_damping": 0.1 * STIFFNESS * TIME_STEP,
         "normal_load": LOAD * (1.0 + varying * rng.uniform(-1.0, 1.0, shape)), "stiffness_ratio": before / stiffness,
     }  # fmt: skip
     return numbers, {"normal": now, "normal_half": middle, "slip": slip, "rolling_rate": rate}

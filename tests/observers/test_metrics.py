@@ -171,7 +171,7 @@ def test_scene_metrics_are_reported_by_name():
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
         center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
-        sliding={"kind": "sliding"},
+        sliding={"kind": "sliding"}, tracer={"kind": "probe", "id": 1},
     )  # fmt: skip
     kind = np.arange(5000) % 2
     particles = particles_of(
@@ -223,3 +223,17 @@ def test_mean_covers_the_last_stage_and_skips_nan():
     other.load_state_dict(meter.state_dict())
     other.update(snapshot_of(3.0, stage="run"))
     assert other.result() == {"x": 2.0, "x_mean": 1.5}
+
+
+def test_probe_follows_one_particle_by_its_id():
+    """Its row in the snapshot changes; a particle that does not exist has no motion."""
+    meter = metric_meters(plan_for(scene_with(tracer={"kind": "probe", "id": 1})))["tracer"]
+    numbers = np.arange(30.0).reshape(10, 3)
+    moving = {"velocity": 2.0 * numbers, "angular_velocity": 3.0 * numbers}
+    for ids in (np.arange(10), np.arange(10)[::-1]):
+        row = int(np.flatnonzero(ids == 1)[0])
+        meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=ids, **moving)))
+        expected = np.concatenate([numbers[row], 2.0 * numbers[row], 3.0 * numbers[row]])
+        assert list(meter.readings().values()) == pytest.approx(expected)
+    meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=np.arange(10) + 5, **moving)))
+    assert np.isnan(list(meter.readings().values())).all()

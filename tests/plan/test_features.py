@@ -45,7 +45,7 @@ def test_each_feature_has_a_reason(tmp_path):
             ("friction: 0,", "friction: 0.4,"),
             "rotation",
             "on",
-            "required by friction or rolling friction",
+            "required by friction, rolling friction or twisting friction",
             None,
         ),
         (("rolling: none", "rolling: epsd"), "rolling", "off", "every pair has rolling_friction 0", None),

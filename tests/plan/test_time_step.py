@@ -241,3 +241,25 @@ def test_skin_over_the_smallest_radius_is_in_its_range(tmp_path, overrides, rang
     plan = plan_for(scene_of(tmp_path, *overrides))
     low, high = range_over_radius
     assert low * (1 - 1e-9) <= plan.skin / plan.radius_min <= high * (1 + 1e-9)
+
+
+TANGENTIAL = "contact.tangential={law: linear_history, stiffness: %s}"
+
+
+def test_stiffness_of_a_linear_tangential_spring_bounds_the_step(tmp_path):
+    """All rotate and slip: w^2 = 20 kt / M, dt < 0.99 * 2 / w, for a spring that is stiffer than the normal contact."""
+    stiffness = 1e6
+    friction = ["pairs.glass-glass.friction=0.5"]
+    step = plan_for(scene_of(tmp_path, TANGENTIAL % f"{stiffness:g} N/m", *friction)).step
+    assert step.stable_below == pytest.approx(0.99 * 2.0 / math.sqrt(20.0 * stiffness / (MASS / 2)), rel=1e-3)
+    soft = plan_for(scene_of(tmp_path, TANGENTIAL % "1 N/m", *friction)).step
+    assert soft.stable_below == pytest.approx(plan_for(scene_of(tmp_path)).step.stable_below, rel=1e-2)
+
+
+def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
+    given = ["contact.tangential={law: mindlin, damping: 0.5}", "pairs.glass-glass.friction=0.5"]
+    with pytest.raises(
+        SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has none; write 0, or choose hertz"
+    ):
+        plan_for(scene_of(tmp_path, *given))
+    assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)

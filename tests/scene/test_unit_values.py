@@ -44,6 +44,9 @@ VALUES = {
         "mm3": 0.000000001, "nl": 0.000000000001, "pl": 0.000000000000001,
     },
     "stiffness": {"N/m": 1.0, "kN/m": 1000.0, "N/mm": 1000.0, "N/cm": 100.0},
+    "torsion_stiffness": {"Nm/rad": 1.0, "mNm/rad": 0.001, "uNm/rad": 0.000001, "N*m/rad": 1.0},
+    "torsion_damping": {"Nms": 1.0, "mNms": 0.001, "uNms": 0.000001, "N*m*s": 1.0},
+    "granular_temperature": {"m2/s2": 1.0, "m^2/s^2": 1.0, "J/kg": 1.0, "cm2/s2": 0.0001, "mm2/s2": 0.000001},
     "rate": {"1/s": 1.0, "/s": 1.0, "1/min": PER_MINUTE, "1/h": PER_HOUR},
     "mass": {"kg": 1.0, "g": 0.001, "mg": 0.000001, "t": 1000.0},
     "mass_flow": {

@@ -14,6 +14,7 @@ PICTURES = {
     "contact. Two spheres of stainless steel 316 of 25.4 mm diameter.",
     "tangential": "Tangential force versus displacement at constant load: loading, reversal, and one full cycle.",
     "rolling": "Rolling torque at constant normal load.",
+    "twisting": "Twisting torque at constant normal load: loading, reversal, and one full cycle.",
     "cohesion": "Hertz force with and without the attraction; particles of 2 mm diameter with E = 5 MPa.",
 }
 """Caption of the picture of a model, by slot."""
@@ -21,6 +22,7 @@ ALTERNATIVES = {
     "normal": "restitution and contact duration versus impact velocity",
     "tangential": "tangential force versus displacement",
     "rolling": "rolling torque",
+    "twisting": "twisting torque versus twist angle",
     "cohesion": "force versus overlap",
 }
 """Alternative text of the picture of a model, by slot."""

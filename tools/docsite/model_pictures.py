@@ -39,6 +39,7 @@ def picture(slot: str, name: str) -> str:
         "normal": _normal,
         "tangential": lambda name: _loop("displacement / displacement at slip", "tangential force / Coulomb limit"),
         "rolling": _rolling,
+        "twisting": lambda name: _loop("twist angle / angle at the limit", "torque / limit"),
         "cohesion": lambda name: _sjkr() if name == "sjkr" else _cohesion(name),
     }
     return draw[slot](name)
@@ -99,7 +100,7 @@ def _loop(x: str, y: str) -> str:
     path = np.concatenate([np.linspace(0, 2, 100), np.linspace(2, -2, 200), np.linspace(-2, 2, 200)])
     displacement, forces = np.zeros(3), []
     for step in np.diff(path, prepend=0.0):
-        force, displacement = reference_spring(1.0, 1.0, 1.0, displacement, np.array([step, 0.0, 0.0]))
+        force, displacement = reference_spring(1.0, 1.0, displacement, np.array([step, 0.0, 0.0]))
         forces.append(-force[0])
     axis.plot(path, forces, color=COLORS[0])
     _label(axis, x, y)

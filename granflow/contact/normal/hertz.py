@@ -43,6 +43,7 @@ class Hertz(HertzSpring):
     damped: bool
 
     name = "hertz"
+    has_dashpot = True
     source = "Hertz 1882; Tsuji et al. 1992; Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004"
     limits = "e does not depend on velocity; the viscous force is numerical and has no physical basis"
     constant_names = ("modulus_eff", "shear_modulus_eff", "viscosity")
@@ -85,6 +86,12 @@ class Hertz(HertzSpring):
             damping = constants.viscosity * weight * ti.sqrt(contact.mass_eff * secant)
             viscous = ti.max(damping * contact.overlap_rate, -elastic)
         return elastic + viscous, viscous, history
+
+    @ti.func
+    def damping(self, constants, contact, history):
+        """sqrt(5) zeta sqrt(M k) d^(1/4) [N s/m]."""
+        secant = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * contact.overlap)
+        return constants.viscosity * ti.sqrt(contact.mass_eff * secant)
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force` in numpy."""

@@ -43,6 +43,7 @@ class KuwabaraKono(HertzSpring):
     reference_velocity: float
 
     name = "kuwabara_kono"
+    has_dashpot = True
     source = "Kuwabara & Kono 1987, Jpn. J. Appl. Phys. 26:1230; Brilliantov et al. 1996, doi 10.1103/PhysRevE.53.5382"
     limits = (
         "valid for slow viscoelastic impacts: 1 - e increases as v^(1/5) for every material; the power of the mass in "
@@ -81,6 +82,12 @@ class KuwabaraKono(HertzSpring):
         damping = constants.dissipation * k * power(contact.mass_eff / k, 0.4) * weight * ti.sqrt(overlap_at)
         viscous = ti.max(damping * contact.overlap_rate, -elastic)
         return elastic + viscous, viscous, history
+
+    @ti.func
+    def damping(self, constants, contact, history):
+        """g k^(3/5) M^(2/5) d^(1/2) [N s/m]."""
+        k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
+        return constants.dissipation * k * power(contact.mass_eff / k, 0.4) * ti.sqrt(contact.overlap)
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of `force` in numpy."""

@@ -21,6 +21,7 @@ class Linear(SpringLaw):
     """Linear spring of stiffness K [N/m] and dashpot."""
 
     name = "linear"
+    has_dashpot = True
     source = "Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007"
     limits = (
         "duration and restitution do not depend on velocity; with damping the force is discontinuous at first touch"
@@ -68,6 +69,12 @@ class Linear(SpringLaw):
         damping = 2.0 * constants.damping_ratio * share * ti.sqrt(stiffness * contact.mass_eff)
         viscous = ti.max(damping * contact.overlap_rate, -elastic)
         return elastic + viscous, viscous, history
+
+    @ti.func
+    def damping(self, constants, contact, history):
+        """2 zeta sqrt(K M) [N s/m]."""
+        stiffness = self.stiffness_of(constants, contact, history)
+        return 2.0 * constants.damping_ratio * ti.sqrt(stiffness * contact.mass_eff)
 
     @ti.func
     def stored_energy(self, constants, contact, history):

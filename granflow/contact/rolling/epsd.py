@@ -50,7 +50,7 @@ class Epsd(RollingLaw):
         step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)
         spring = contact.stiffness * contact.radius_eff * contact.radius_eff
         limit = constants.rolling_friction * contact.radius_eff * contact.normal_load
-        torque, angle = elastic_plastic_spring(spring, ratio, limit, rotated, step)
+        torque, angle = elastic_plastic_spring(spring, ti.min(ratio, 1.0), limit, rotated, step)
         energy_lost = spring_loss(spring, ratio, rotated, step, torque, angle)
         history_new.angle = angle
         return torque, history_new, energy_lost
@@ -60,9 +60,9 @@ class Epsd(RollingLaw):
         tangential_rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
         torque, angle = reference_spring(
             contact.stiffness * contact.radius_eff**2,
-            contact.stiffness_ratio,
             contact.constants.rolling_friction * contact.radius_eff * contact.normal_load,
-            reference_rotation(contact.history.angle, contact.normal, contact.normal_half),
+            min(contact.stiffness_ratio, 1.0)
+            * reference_rotation(contact.history.angle, contact.normal, contact.normal_half),
             contact.time_step * tangential_rate,
         )
         return torque, {"angle": angle}

@@ -1,18 +1,23 @@
-"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction."""
+"""Tangential model: Mindlin's no-slip spring with history, limited by Coulomb friction, with an optional dashpot.
+
+The four combinations of `increments` and `unloading` are the styles mindlin, mindlin/force, mindlin_rescale and
+mindlin_rescale/force of LAMMPS.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from granflow.contact.law import HistoryField
+from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
-from granflow.contact.options import FRICTION
+from granflow.contact.options import FRICTION, Amount, Choice
 from granflow.contact.surface_law import SurfaceState, TangentialLaw
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
+    limit_ratio,
     reference_rotation,
     reference_spring,
     rotated_displacement,
@@ -20,20 +25,55 @@ from granflow.contact.tangential.spring import (
 )
 from granflow.device_functions import ti
 
+DAMPING = Amount(
+    "tangential dashpot over the dashpot of the normal model; 0: none",
+    "1",
+    noun="a damping factor",
+    at_least=0,
+    default=0.0,
+)
+"""Option `damping` of the tangential models: eta_t / eta_n, x_gamma_t of LAMMPS."""
+
 
 @dataclass(frozen=True)
 class Mindlin(TangentialLaw):
-    """Elastic-plastic spring with the no-slip stiffness of the normal model, see `tangential.spring`."""
+    """Elastic-plastic spring with the no-slip stiffness of the normal model, see `tangential.spring`.
+
+    force_increments:  whether a change of the stiffness preserves the force; otherwise it preserves the displacement
+    rescaled:          whether a decrease of the stiffness decreases the force in proportion
+    damping:           ratio of the tangential to the normal dashpot
+    """
+
+    force_increments: bool = True
+    rescaled: bool = True
+    damping: float = 0.0
 
     name = "mindlin"
     source = "Mindlin 1949; Cundall & Strack 1979; Thornton, Cummins & Cleary 2013"
     limits = "slip occurs in the whole contact area at once, and rotation about the normal does not rotate the spring"
-    constant_names = ("friction",)
+    constant_names: ClassVar[tuple[str, ...]] = ("friction",)
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "Mindlin":
+        """The law that a scene requests."""
+        options = request.options
+        return cls(options["increments"] == "force", options["unloading"] == "rescaled", options["damping"])
+
+    @property
+    def damped(self) -> bool:
+        """Whether the dashpot is compiled."""
+        return self.damping > 0.0
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The ratio of the dashpots."""
+        return {"damping": self.damping} if self.damped else {}
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Elastic tangential displacement."""
-        return (HistoryField("displacement", "tangential displacement", "m", size=3),)
+        """Elastic tangential displacement, and the force of the dashpot."""
+        dashpot = (HistoryField("dashpot", "force of the tangential dashpot", "N", size=3),)
+        return HistoryField("displacement", "tangential displacement", "m", size=3), *(dashpot if self.damped else ())
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Coefficient of sliding friction."""
@@ -45,38 +85,118 @@ class Mindlin(TangentialLaw):
         return constants.friction * contact.normal_load
 
     @ti.func
+    def stiffness(self, constants, contact):
+        """Stiffness of the spring [N/m]."""
+        return contact.stiffness
+
+    @ti.func
+    def stiffness_ratio(self, contact):
+        """Ratio of the previous to the present stiffness."""
+        return contact.stiffness_ratio
+
+    @ti.func
+    def displacement_ratio(self, ratio):
+        """Factor of the displacement if the stiffness changes, `ratio` is that of the previous to the present one.
+
+        force, rescaled:         min(ratio, 1)        force, kept:         ratio
+        displacement, rescaled:  min(1 / ratio, 1)    displacement, kept:  1
+        """
+        factor = 0.0 * ratio + 1.0
+        if ti.static(self.force_increments and self.rescaled):
+            factor = ti.min(ratio, 1.0)
+        elif ti.static(self.force_increments):
+            factor = ratio
+        elif ti.static(self.rescaled):
+            factor = 1.0 / ti.max(ratio, 1.0)
+        return factor
+
+    @ti.func
     def force(self, constants, contact, history):
-        """Spring force [N] after the slip of this step, limited to mu F."""
-        history_new, stiffness, ratio = history, contact.stiffness, contact.stiffness_ratio
+        """Force of spring and dashpot [N] after the slip of this step, limited to mu F.
+
+        F = -k s - eta_t v_t;   if |F| > mu F_n:   F <- mu F_n F / |F|,   s <- -(F + eta_t v_t) / k
+
+        The dashpot acts from the second step on: in the first one the normal force is a mean since first touch, and the
+        spring would keep the difference between the dashpot and a limit that depends on the time of first touch.
+        """
+        history_new, stiffness, ratio = history, self.stiffness(constants, contact), self.stiffness_ratio(contact)
         rotated = rotated_displacement(history.displacement, contact.normal, contact.normal_half)
-        force, displacement = elastic_plastic_spring(
-            stiffness, ratio, self.limit(constants, contact), rotated, contact.slip
-        )
-        energy_lost = spring_loss(stiffness, ratio, rotated, contact.slip, force, displacement)
+        factor, limit = self.displacement_ratio(ratio), self.limit(constants, contact)
+        spring, displacement = 0.0 * rotated, 0.0 * rotated
+        force, dashpot_loss = 0.0 * rotated, 0.0 * ratio
+        if ti.static(self.damped):
+            damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
+            dashpot = -(damping / contact.time_step) * contact.slip
+            displacement = factor * rotated + contact.slip
+            trial = dashpot - stiffness * displacement
+            share = limit_ratio(trial, limit)
+            force = share * trial
+            displacement = ti.select(share < 1.0, (dashpot - force) / stiffness, displacement)
+            spring = -stiffness * displacement
+            dashpot_loss = -0.5 * (history.dashpot + dashpot).dot(contact.slip)
+            history_new.dashpot = dashpot
+        else:
+            spring, displacement = elastic_plastic_spring(stiffness, factor, limit, rotated, contact.slip)
+            force = spring
+        energy_lost = spring_loss(stiffness, ratio, rotated, contact.slip, spring, displacement) + dashpot_loss
         history_new.displacement = displacement
         return force, history_new, energy_lost
 
+    def reference_stiffness(self, contact: SurfaceState) -> tuple[float, float]:
+        """Reference implementation of `stiffness` and `stiffness_ratio`."""
+        return contact.stiffness, contact.stiffness_ratio
+
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `force` in numpy."""
-        force, displacement = reference_spring(
-            contact.stiffness,
-            contact.stiffness_ratio,
-            contact.constants.friction * contact.normal_load,
-            reference_rotation(contact.history.displacement, contact.normal, contact.normal_half),
-            contact.slip,
-        )
-        return force, {"displacement": displacement}
+        stiffness, ratio = self.reference_stiffness(contact)
+        preserved = ratio if self.force_increments else 1.0  # by which the displacement changes
+        if self.rescaled and ratio > 1.0:
+            preserved /= ratio
+        carried = preserved * reference_rotation(contact.history.displacement, contact.normal, contact.normal_half)
+        limit = contact.constants.friction * contact.normal_load
+        if not self.damped:
+            force, displacement = reference_spring(stiffness, limit, carried, contact.slip)
+            return force, {"displacement": displacement}
+        damping = self.damping * contact.normal_damping if contact.history.displacement.any() else 0.0
+        dashpot = -damping * contact.slip / contact.time_step
+        displacement = carried + contact.slip
+        force = dashpot - stiffness * displacement
+        size = float(np.sqrt(force @ force))
+        if size > limit:
+            force = force * (limit / size)
+            displacement = (dashpot - force) / stiffness
+        return force, {"displacement": displacement, "dashpot": dashpot}
 
     @ti.func
     def present_force(self, constants, contact, history):
-        """Spring force [N] and its size [N]."""
-        displacement = history.displacement
-        return -contact.stiffness * displacement, contact.stiffness * ti.sqrt(displacement.dot(displacement))
+        """Force of spring and dashpot [N] and its size [N]."""
+        force = -self.stiffness(constants, contact) * history.displacement
+        if ti.static(self.damped):
+            force += history.dashpot
+        return force, ti.sqrt(force.dot(force))
 
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy of the spring [J]."""
-        return 0.5 * contact.stiffness * history.displacement.dot(history.displacement)
+        return 0.5 * self.stiffness(constants, contact) * history.displacement.dot(history.displacement)
 
 
-MODEL = ContactModel(Mindlin, "spring with history, Coulomb limit", pair_options=(FRICTION,))
+MODEL = ContactModel(
+    Mindlin,
+    "spring with history, Coulomb limit",
+    options={
+        "increments": Choice(
+            "quantity that a change of the stiffness preserves: the force (each step adds an increment of force), or "
+            "the displacement",
+            ("force", "displacement"),
+            default="force",
+        ),
+        "unloading": Choice(
+            "rescaled: the force decreases with the contact radius during unloading; kept: it does not",
+            ("rescaled", "kept"),
+            default="rescaled",
+        ),
+        "damping": DAMPING,
+    },
+    pair_options=(FRICTION,),
+)

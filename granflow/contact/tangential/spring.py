@@ -26,22 +26,28 @@ def rotated_displacement(displacement, normal, normal_middle):
 
 
 @ti.func
-def elastic_plastic_spring(stiffness, stiffness_ratio, cap, rotated, step):
+def limit_ratio(force, cap):
+    """Factor that limits a force [N] to `cap` [N]; 1 below the limit."""
+    square = force.dot(force)
+    return ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
+
+
+@ti.func
+def elastic_plastic_spring(stiffness, factor, cap, rotated, step):
     """Spring force -k s [N] after one step of displacement, limited to `cap` [N]. Returns (force, new displacement).
 
-    stiffness:        present stiffness k [N/m]
-    stiffness_ratio:  ratio of the previous to the present stiffness: below 1 the force is preserved, above 1 the
-                      displacement
-    rotated:          displacement of the previous step [m] in the present contact plane
-    step:             relative tangential displacement in this step [m]
+    stiffness:  present stiffness k [N/m]
+    factor:     factor of the displacement for a change of the stiffness; min(previous / present stiffness, 1) preserves
+                the force if the stiffness increases, and the displacement if it decreases
+    rotated:    displacement of the previous step [m] in the present contact plane
+    step:       relative tangential displacement in this step [m]
 
     For a rolling spring, torque [N m] replaces force and angle [rad] displacement. `ti.select` replaces a branch, so
     that the compiler can vectorize over contacts.
     """
-    displacement_new = ti.min(stiffness_ratio, 1.0) * rotated + step
+    displacement_new = factor * rotated + step
     force = -stiffness * displacement_new
-    square = force.dot(force)
-    ratio = ti.select(square > cap * cap, cap / ti.sqrt(square), 1.0)
+    ratio = limit_ratio(force, cap)
     return ratio * force, ratio * displacement_new
 
 
@@ -56,10 +62,13 @@ def spring_loss(stiffness, stiffness_ratio, rotated, step, force, displacement_n
 
 
 def reference_spring(
-    stiffness: float, stiffness_ratio: float, cap: float, rotated: np.ndarray, step: np.ndarray
+    stiffness: float, cap: float, carried: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reference implementation of `elastic_plastic_spring` in numpy, with vectors (3,)."""
-    trial = (rotated * stiffness_ratio if stiffness_ratio < 1.0 else rotated) + step
+    """Reference implementation of `elastic_plastic_spring` in numpy, with vectors (3,).
+
+    carried:  rotated displacement of the previous step [m] after the change of the stiffness
+    """
+    trial = carried + step
     size = stiffness * float(np.sqrt(trial @ trial))
     displacement_new = trial if size <= cap else trial * (cap / size)
     return -stiffness * displacement_new, displacement_new

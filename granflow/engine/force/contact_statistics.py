@@ -112,7 +112,8 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
 def build_energies(state: State) -> Any:
     """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy budget.
 
-    The stored energy includes that of the tangential, rolling and cohesion models; the lost energy is the plastic work.
+    The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy is the
+    plastic work.
 
     Reads:  history
     """
@@ -120,7 +121,7 @@ def build_energies(state: State) -> Any:
 
     @ti.func
     def with_surface_energy(normal_energy, constants, contact, history):
-        """The stored energy [J] with that of the tangential and the rolling model."""
+        """The stored energy [J] with that of the tangential, rolling and twisting models."""
         stored = normal_energy
         surface = ti.Struct(
             radius_eff=contact.radius_eff,
@@ -132,6 +133,8 @@ def build_energies(state: State) -> Any:
             stored += laws.tangential.stored_energy(constants.tangential, surface, history.tangential)
         if ti.static(laws.has_rolling):
             stored += laws.rolling.stored_energy(constants.rolling, surface, history.rolling)
+        if ti.static(laws.has_twisting):
+            stored += laws.twisting.stored_energy(constants.twisting, surface, history.twisting)
         return stored
 
     @ti.func

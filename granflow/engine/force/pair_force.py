@@ -102,11 +102,11 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 
 
 def build_surface_contact(plan: Plan) -> Any:
-    """Device function: struct `contact` of the tangential and rolling models, see `granflow.contact.surface_law`.
+    """Device function: struct `contact` of the surface models, see `granflow.contact.surface_law`.
 
     Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
     """
-    law = plan.laws.normal
+    law, laws = plan.laws.normal, plan.laws
 
     @ti.func
     def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities, longest_time_step):
@@ -114,6 +114,9 @@ def build_surface_contact(plan: Plan) -> Any:
         if ti.static(law.tangential_stiffness_grows):
             overlap_before = contact.overlap - contact.time_step * kinematics.overlap_rate_half
             ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
+        normal_damping = 0.0 * contact.overlap
+        if ti.static(len(laws.damped_slots) > 0):
+            normal_damping = law.damping(constants.normal, contact, history.normal)
         rotation = kinematics.arm * angular_velocities.first + kinematics.arm_partner * angular_velocities.partner
         return ti.Struct(
             radius_eff=contact.radius_eff,
@@ -128,6 +131,7 @@ def build_surface_contact(plan: Plan) -> Any:
             normal_load=load,
             stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
             stiffness_ratio=ratio,
+            normal_damping=normal_damping,
             slip=contact.time_step * (kinematics.velocity_tangential - rotation.cross(kinematics.normal)),
             rolling_rate=angular_velocities.first - angular_velocities.partner,
         )
@@ -145,9 +149,10 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     time step, and longest time step of the run [s].
 
     Returns a struct of the force on the first [N], the torques on both [N m], the history, and the losses (friction,
-    rolling, damping): energy [J] dissipated in this step.
+    rolling and twisting, damping): energy [J] dissipated in this step.
     """
     features, laws, tangential, rolling = plan.features, plan.laws, plan.laws.tangential, plan.laws.rolling
+    twisting = plan.laws.twisting
     normal_force_of, surface_contact = build_normal_force(plan.laws, is_prepared), build_surface_contact(plan)
 
     @ti.func
@@ -181,6 +186,13 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
                 )
                 torque, torque_partner = torque + rolling_torque, torque_partner - rolling_torque
                 history_new.rolling = rolling_history
+            if ti.static(laws.has_twisting):
+                twisting_torque, twisting_history, twisting_loss = twisting.torque(
+                    constants.twisting, surface, history.twisting
+                )
+                torque, torque_partner = torque + twisting_torque, torque_partner - twisting_torque
+                rolling_loss += twisting_loss
+                history_new.twisting = twisting_history
         return ti.Struct(
             force=force,
             torque=torque,

@@ -26,6 +26,7 @@ from granflow.scene.schema.analysis import (
     CoordinationMetric,
     FabricMetric,
     LaceyMetric,
+    ProbeMetric,
     ReposeMetric,
     SlidingMetric,
 )
@@ -51,7 +52,8 @@ def _metric_meter(
     | CoordinationMetric
     | ContentMetric
     | CenterOfMassMetric
-    | SlidingMetric,
+    | SlidingMetric
+    | ProbeMetric,
 ) -> MetricMeter:
     """Return the meter of one metric; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
@@ -64,6 +66,8 @@ def _metric_meter(
         return MetricMeter(lambda snapshot: _content(snapshot, spec.region), NEEDS_PARTICLES)
     if isinstance(spec, CenterOfMassMetric):
         return _center_of_mass_meter(plan, spec)
+    if isinstance(spec, ProbeMetric):
+        return MetricMeter(lambda snapshot: _probe(snapshot.particles, spec.id), NEEDS_PARTICLES)
     if isinstance(spec, SlidingMetric):
         names = [wall.name for wall in plan.walls]
         walls = None if spec.walls is None else [names.index(name) for name in spec.walls]
@@ -148,6 +152,20 @@ def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
     volume = 4.0 / 3.0 * np.pi * float((selected_particles["radius"].astype(float) ** 3).sum())
     mass = float(selected_particles["mass"].astype(float).sum())
     return {"content_count": float(len(selected_particles["mass"])), "content_mass": mass, "content_volume": volume}
+
+
+def _probe(particles: Mapping[str, np.ndarray], particle_id: int) -> Mapping[str, float]:
+    """Return position [m], velocity [m/s] and angular velocity [rad/s] of a particle; NaN if it does not exist.
+
+    Without friction, particles do not rotate and have the angular velocity 0.
+    """
+    own = np.flatnonzero(particles["id"] == particle_id)
+    found: dict[str, float] = {}
+    for name in ("position", "velocity", "angular_velocity"):
+        values = particles.get(name, np.zeros_like(particles["velocity"]))[own]
+        vector = values[0] if len(own) else np.full(3, np.nan)
+        found |= {f"{name}_{axis}": float(vector[k]) for k, axis in enumerate("xyz")}
+    return found
 
 
 def _inside(points: np.ndarray, region: Box | None) -> np.ndarray:

@@ -17,6 +17,7 @@ from granflow.scene.schema.analysis import (
     CenterOfMassMetric,
     GridSpec,
     LaceyMetric,
+    ProbeMetric,
     ReposeMetric,
     SlidingMetric,
 )
@@ -54,8 +55,18 @@ def metrics(parts: PartialScene) -> Iterator[Fault]:
             yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
         if isinstance(metric, SlidingMetric):
             yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
+        if isinstance(metric, ProbeMetric):
+            yield from _unknown_particle((*path, "id"), metric.id, parts.scene)
         if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
             yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
+
+
+def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Iterator[Fault]:
+    """A fault for an id that no particle has; none if the number of particles is not given."""
+    counts = [group.count_given for group in scene.particles.values()]
+    known = sum(count or 0 for count in counts)
+    if scene.scale == 1.0 and all(counts) and particle_id >= known:
+        yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
 
 
 def _unknown_names(path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str) -> Iterator[Fault]:

@@ -186,8 +186,25 @@ class SlidingMetric(Model):
     )
 
 
+class ProbeMetric(Model):
+    """Position [m], velocity [m/s] and angular velocity [rad/s] of one particle.
+
+    NaN before its insertion and after its deletion; in periodic boxes, the wrapped position.
+    """
+
+    kind: Literal["probe"] = Field(description="kind of metric")
+    id: q.ParticleId = Field(description="id of the particle: 0, 1, ... in the order of insertion")
+
+
 AnyMetric = Annotated[
-    LaceyMetric | ReposeMetric | FabricMetric | CoordinationMetric | ContentMetric | CenterOfMassMetric | SlidingMetric,
+    LaceyMetric
+    | ReposeMetric
+    | FabricMetric
+    | CoordinationMetric
+    | ContentMetric
+    | CenterOfMassMetric
+    | SlidingMetric
+    | ProbeMetric,
     choose_by_key("kind"),
 ]
 """Any kind of metric; the key `kind` selects it."""
@@ -205,5 +222,8 @@ METRIC_QUANTITIES_BY_KIND = {
     ),
     "center_of_mass": ("center_of_mass_x", "center_of_mass_y", "center_of_mass_z"),
     "sliding": ("sliding_share",),
+    "probe": tuple(
+        f"{vector}_{axis}" for vector in ("position", "velocity", "angular_velocity") for axis in ("x", "y", "z")
+    ),
 }
 """Quantities of each kind of metric; each also has a time average, NAME_mean."""

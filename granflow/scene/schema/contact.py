@@ -41,7 +41,7 @@ class LawSettings(Model):
 class Contact(Model):
     """Contact models, the same for all pairs of materials.
 
-    Normal force, tangential force (friction), rolling torque and cohesion; friction and rolling friction coefficients
+    Normal force, tangential force (friction), rolling and twisting torque, cohesion; friction coefficients
     are properties of the pairs.
 
     >>> gf.Contact(normal={"law": "linear", "stiffness": "onset"}, tangential="mindlin", rolling="none").name("normal")
@@ -52,6 +52,7 @@ class Contact(Model):
     normal: LawSettings
     tangential: str | LawSettings
     rolling: str | LawSettings
+    twisting: str | LawSettings
     cohesion: str | LawSettings
 
     def name(self, slot: str) -> str:
@@ -62,9 +63,14 @@ class Contact(Model):
     def options(self, slot: str) -> dict[str, Any]:
         """Options of the model of a slot, in SI units."""
         given = getattr(self, slot)
-        return {} if isinstance(given, str) else given.settings()
+        if not isinstance(given, str):
+            return dict(given.settings())
+        model = registry.models(slot).get(given)
+        return {key: option.default for key, option in model.options.items()} if model else {}
 
 
+OPTIONAL = ("twisting", "cohesion")
+"""Slots that a scene may omit: they have no model."""
 _LAST_WORDS = {"cohesion": ", with any normal contact model"}
 """End of the description of a slot."""
 
@@ -89,21 +95,21 @@ def _normal() -> tuple[Any, Any]:
 
 
 def _slot(slot: str) -> tuple[Any, Any]:
-    """Annotation and field of another slot: a name, or a mapping for a model with options."""
+    """Annotation and field of another slot: a name if no option is required, or a mapping for a model with options."""
     models = registry.models(slot)
-    words = tuple(name for name, model in models.items() if not model.options)
+    words = tuple(name for name, model in models.items() if not model.needs_options)
     words = (*words, "none") if slot == "tangential" else ("none", *words)
     texts = [name if name == "none" else f"{name} ({models[name].summary})" for name in words]
     mappings = {name: _model(model) for name, model in models.items() if model.options}
-    examples = [f"{{law: {name}, ...}}" for name in mappings]
+    examples = [f"{{law: {name}, ...}}" for name in mappings if name not in words]
     annotation: Any = Literal[words]
     if mappings:
         members = [Annotated[Literal[word], Tag(f"<{word}>")] for word in words]
-        members += [Annotated[model, Tag(f"<{name}>")] for name, model in mappings.items()]
+        members += [Annotated[model, Tag(f"<law {name}>")] for name, model in mappings.items()]
         reason = f"it must be {_either([*words, *examples])}"
         annotation = Annotated[Union[tuple(members)], choose_by(_slot_tagger(words, mappings), reason)]  # noqa: UP007
     description = _either([*texts, *examples]) + _LAST_WORDS.get(slot, "")
-    return annotation, Field("none", description=description) if slot == "cohesion" else Field(description=description)
+    return annotation, Field("none", description=description) if slot in OPTIONAL else Field(description=description)
 
 
 def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -> Callable[[Any], str | None]:
@@ -113,7 +119,7 @@ def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -
         name = value.get("law") if isinstance(value, dict) else getattr(value, "law", None)
         if isinstance(value, str):
             return f"<{value}>" if value in words else None
-        return f"<{name}>" if name in models else None
+        return f"<law {name}>" if name in models else None
 
     return tag
 

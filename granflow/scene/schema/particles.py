@@ -33,6 +33,33 @@ AngularVelocityOrMany = Annotated[
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
+class ThermalMotion(Model):
+    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of the scene.
+
+    All particles of the group have the same distribution, whatever their mass.
+    """
+
+    velocity_rms: q.Speed | None = Field(
+        None, description="root mean square of the random velocities [m/s], which they have exactly"
+    )
+    granular_temperature: q.GranularTemperature | None = Field(
+        None, description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms"
+    )
+    zero_momentum: Flag = Field(True, description="remove the total momentum of the random velocities")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the random velocities [m/s]: sqrt(3 T)."""
+        return self.velocity_rms or (3.0 * (self.granular_temperature or 0.0)) ** 0.5
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one measure of the velocities is given."""
+        if self.velocity_rms is None and self.granular_temperature is None:
+            yield missing(("velocity_rms",), "root mean square velocity [m/s]; or give granular_temperature")
+        elif self.velocity_rms is not None and self.granular_temperature is not None:
+            yield redundant("granular_temperature", "velocity_rms")
+
+
 class Group(Model):
     """Particles of one material with one kind of insertion.
 
@@ -54,6 +81,9 @@ class Group(Model):
     )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
     angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
+    thermal: ThermalMotion | None = Field(
+        None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
+    )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
     insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions or file, ...}")
 
@@ -92,6 +122,8 @@ class Group(Model):
             yield missing(("diameter",), "diameter [m], or a size distribution")
         if self.diameter is not None and self.insert.kind == "file":
             yield Fault(("diameter",), "the file defines the sizes; remove diameter")
+        if self.thermal is not None:
+            yield from self._thermal_faults(self.thermal)
         if self.fixed:
             yield from self._fixed_faults()
 
@@ -117,6 +149,17 @@ class Group(Model):
             elif length != rows:
                 reason = f"is a list of length {length}, but insert.positions has length {rows}; give one per position"
                 yield whole(key, reason)
+
+    def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
+        """Random velocities require mobile particles at the start, and two of them if their momentum is zero."""
+        if self.insert.kind in ("rain", "inlet", "file"):
+            reason = f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
+            yield whole(("thermal",), f"cannot be combined with it: {reason}")
+        elif self.fixed:
+            yield whole(("thermal",), "cannot be combined with fixed: true; remove thermal")
+        elif thermal.zero_momentum and self.count_given == 1:
+            reason = "one particle has momentum; write zero_momentum: false, or give two particles"
+            yield whole(("thermal",), f"cannot have zero momentum: {reason}")
 
     def _fixed_faults(self) -> Iterator[Fault]:
         """Fixed particles must exist from the start and be at rest."""

@@ -22,6 +22,8 @@ Counts = Annotated[tuple[Count, Count, Count], _vector]
 ParticleCount = Annotated[int, Number(noun="a count", at_least=1, whole=True, scaling=3)]
 """Number of particles, proportional to the cube of `scale`; at most LARGEST_COUNT."""
 
+ParticleId = Annotated[int, Number(noun="a particle id", at_least=0, whole=True)]
+
 Length = Annotated[float, Number("length", scaling=1)]
 PositiveLength = Annotated[float, Number("length", above=0, scaling=1)]
 NotNegativeLength = Annotated[float, Number("length", at_least=0, scaling=1)]
@@ -37,6 +39,7 @@ PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]
 Speed = Annotated[float, Number("velocity", noun="a speed", above=0)]
 AnySpeed = Annotated[float, Number("velocity", noun="a speed", at_least=0)]
+GranularTemperature = Annotated[float, Number("granular_temperature", above=0)]
 Acceleration = Annotated[float, Number("acceleration")]
 Angle = Annotated[float, Number("angle")]
 Frequency = Annotated[float, Number("frequency", above=0)]

@@ -74,6 +74,13 @@ DIMENSIONS: dict[str, Dimension] = {
         _unit_table("m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15"),
     ),
     "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
+    "torsion_stiffness": Dimension(
+        "a twisting stiffness", "1 mNm/rad", _unit_table("Nm/rad 1, mNm/rad 1e-3, uNm/rad 1e-6, N*m/rad 1")
+    ),
+    "torsion_damping": Dimension("a twisting dashpot", "1 uNms", _unit_table("Nms 1, mNms 1e-3, uNms 1e-6, N*m*s 1")),
+    "granular_temperature": Dimension(
+        "a granular temperature", "1e-4 m2/s2", _unit_table("m2/s2 1, m^2/s^2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6")
+    ),
     "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
     "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
     "mass_flow": Dimension(

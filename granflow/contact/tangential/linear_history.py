@@ -1,0 +1,60 @@
+"""Tangential model: linear spring of given stiffness with history, limited by Coulomb friction."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from granflow.contact.law import ModelRequest
+from granflow.contact.model import ContactModel
+from granflow.contact.options import FRICTION, Amount
+from granflow.contact.surface_law import SurfaceState
+from granflow.contact.tangential.mindlin import DAMPING, Mindlin
+from granflow.device_functions import ti
+
+
+@dataclass(frozen=True)
+class LinearHistory(Mindlin):
+    """Elastic-plastic spring of constant stiffness [N/m]; linear_history of LAMMPS."""
+
+    spring_stiffness: float = 0.0
+
+    name = "linear_history"
+    source = "Cundall & Strack 1979; Luding 2008, Granular Matter 10:235"
+    limits = "the stiffness is the same for all pairs and particle sizes and does not depend on the load"
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "LinearHistory":
+        """The law that a scene requests."""
+        return cls(damping=request.options["damping"], spring_stiffness=request.options["stiffness"])
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The stiffness, and the ratio of the dashpots."""
+        return {**super().parameters, "spring_stiffness": self.spring_stiffness}
+
+    @ti.func
+    def stiffness(self, constants, contact):
+        """Stiffness of the spring [N/m]."""
+        return constants.spring_stiffness
+
+    @ti.func
+    def stiffness_ratio(self, contact):
+        """Ratio of the previous to the present stiffness."""
+        return 0.0 * contact.stiffness_ratio + 1.0
+
+    def reference_stiffness(self, contact: SurfaceState) -> tuple[float, float]:
+        """Reference implementation of `stiffness` and `stiffness_ratio`."""
+        return self.spring_stiffness, 1.0
+
+
+MODEL = ContactModel(
+    LinearHistory,
+    "linear spring of given stiffness with history, Coulomb limit",
+    options={
+        "stiffness": Amount(
+            "tangential stiffness [N/m], for all pairs and particle sizes", "1e4 N/m", "stiffness", above=0
+        ),
+        "damping": DAMPING,
+    },
+    pair_options=(FRICTION,),
+    example={"stiffness": 1e4},
+)

@@ -1,0 +1,1 @@
+"""Twisting friction models, one file per model."""
