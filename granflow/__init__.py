@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from granflow.engine.backend import start
-    from granflow.errors import GranflowError, RunError, SceneError
+    from granflow.errors import FunctionError, GranflowError, RunError, SceneError, StopRun
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
@@ -38,6 +38,7 @@ os.environ.setdefault("HOME", os.path.expanduser("~"))
 modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 __all__ = [
+    "FunctionError",
     "GranflowError",
     "ParticleData",
     "Plan",
@@ -46,6 +47,7 @@ __all__ = [
     "SceneError",
     "Simulation",
     "Snapshot",
+    "StopRun",
     "analyze_snapshots",
     "calibrate",
     "estimate_memory",
@@ -60,6 +62,7 @@ __all__ = [
 ]
 
 _LOCATIONS = {
+    "FunctionError": "granflow.errors:FunctionError",
     "GranflowError": "granflow.errors:GranflowError",
     "ParticleData": "granflow.particles.particle_data:ParticleData",
     "Plan": "granflow.plan.plan:Plan",
@@ -68,6 +71,7 @@ _LOCATIONS = {
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
     "Snapshot": "granflow.snapshot:Snapshot",
+    "StopRun": "granflow.errors:StopRun",
     "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate:calibrate",
     "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",

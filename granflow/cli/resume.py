@@ -133,6 +133,7 @@ def run_to_end(
     try:
         with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
             result = simulation.run(until=until)
+            result = simulation.close() or result
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)

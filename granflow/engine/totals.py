@@ -9,7 +9,7 @@ from granflow.engine.exact_sums import SHARES, exact_totals
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
-from granflow.plan.chunk_sums import LOSSES
+from granflow.plan.chunk_sums import LOSSES, PLASTIC
 
 LARGEST_ERROR = 5e-3
 """Magnitude of the energy error above which a run warns."""
@@ -58,6 +58,14 @@ def totals_of(
     if plan.features.energy_budget:
         totals |= energy_budget_totals(state, accounting, energies, measured)
     return totals | controlled_totals(state)
+
+
+def ended_contacts_dissipation(state: State) -> float:
+    """Plastic dissipation [J] of all ended contacts; 0 without the energy budget."""
+    losses = state.control.losses
+    if losses is None:
+        return 0.0
+    return float(exact_totals(losses.to_numpy(), state.plan.sum_units.energy / SHARES)[PLASTIC])
 
 
 def energy_budget_totals(

@@ -4,6 +4,7 @@ from typing import Any
 
 from granflow.engine.checkpoint import EngineCheckpoint
 from granflow.engine.engine import Engine
+from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_observers import check_observers, check_streams
@@ -17,7 +18,8 @@ from granflow.runs.timings import WallClock
 class RunState:
     """Engine, stages, insertion, observers and wall clock of a run.
 
-    `earlier`: names of the groups whose particles do not come from the scene.
+    `earlier`: names of the groups whose particles do not come from the scene. `plan`: of the next step; changes from
+    Python replace it, and `prepare` applies it.
     """
 
     def __init__(
@@ -30,8 +32,13 @@ class RunState:
     ) -> None:
         self.engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
         self.progress = StageProgress.of(engine.plan)
+        self.plan = engine.plan
         self._earlier = earlier
-        self._engine_checkpoint = EngineCheckpoint(engine)
+
+    def prepare(self) -> None:
+        """Continue with an engine for `plan`, which may have changed; compiles new features."""
+        if self.plan is not self.engine.plan:
+            self.engine = with_plan(self.engine, self.plan)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays."""
@@ -42,7 +49,7 @@ class RunState:
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
-            "engine": self._engine_checkpoint.state_dict(),
+            "engine": EngineCheckpoint(self.engine).state_dict(),
         }
 
     def load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
@@ -59,7 +66,7 @@ class RunState:
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
-        self._engine_checkpoint.load_state_dict(saved["engine"], motions)
+        EngineCheckpoint(self.engine).load_state_dict(saved["engine"], motions)
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():
             if name in saved["observers"]:
