@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from granflow.engine.backend import start
     from granflow.errors import FunctionError, GranflowError, RunError, SceneError, StopRun
+    from granflow.live.forces import ParticleForce
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from granflow.plan.memory_estimate import estimate_memory
     from granflow.plan.plan import Plan
     from granflow.scene.registration import register_contact_model
+    from granflow.scene.schema.motions import Rotation, Translation, Vibration
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
     from granflow.studies.calibration.calibrate import calibrate
@@ -41,13 +43,17 @@ __all__ = [
     "FunctionError",
     "GranflowError",
     "ParticleData",
+    "ParticleForce",
     "Plan",
+    "Rotation",
     "RunError",
     "Scene",
     "SceneError",
     "Simulation",
     "Snapshot",
     "StopRun",
+    "Translation",
+    "Vibration",
     "analyze_snapshots",
     "calibrate",
     "estimate_memory",
@@ -65,13 +71,17 @@ _LOCATIONS = {
     "FunctionError": "granflow.errors:FunctionError",
     "GranflowError": "granflow.errors:GranflowError",
     "ParticleData": "granflow.particles.particle_data:ParticleData",
+    "ParticleForce": "granflow.live.forces:ParticleForce",
     "Plan": "granflow.plan.plan:Plan",
+    "Rotation": "granflow.scene.schema.motions:Rotation",
     "RunError": "granflow.errors:RunError",
     "Scene": "granflow.load:Scene",
     "SceneError": "granflow.errors:SceneError",
     "Simulation": "granflow.simulation:Simulation",
     "Snapshot": "granflow.snapshot:Snapshot",
     "StopRun": "granflow.errors:StopRun",
+    "Translation": "granflow.scene.schema.motions:Translation",
+    "Vibration": "granflow.scene.schema.motions:Vibration",
     "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
     "calibrate": "granflow.studies.calibration.calibrate:calibrate",
     "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",

@@ -1,18 +1,17 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from collections.abc import Sequence
 from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
 
 from granflow.engine.backend import Arch, Precision, start
 from granflow.engine.engine import Engine
-from granflow.errors import FunctionError, GranflowError, StopRun
-from granflow.io.checkpoint import Checkpoint
+from granflow.errors import StopRun
+from granflow.io.checkpoint import Checkpoint, checkpoint_at
+from granflow.live.forces import Forces, ParticleForce, plan_with_forces
 from granflow.live.particles import LiveParticles
+from granflow.live.walls import LiveWalls
 from granflow.load import Scene
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
@@ -23,13 +22,15 @@ from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
-from granflow.runs.observer_list import ObserverList
+from granflow.runs.observer_list import ObserverList, name_of
+from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
+from granflow.runs.session import RunSession
 from granflow.runs.time_loop import TimeLoop
-from granflow.runs.timings import WallClock, collect_result, log_plan
+from granflow.runs.timings import WallClock, collect_result
 from granflow.snapshot import Snapshot
 
 
@@ -49,15 +50,17 @@ class Simulation:
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
     particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted
-    resume:         checkpoint from which to continue
+    resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which to
+                    continue; forces and observers from Python must be given again, with the same names
     allow_changes:  resume even if the scene has changes that are not permitted
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
+    forces:         forces on particles from device functions
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
 
     `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
-    `particles`: `LiveParticles`; `observers`: list with `append` and `remove`.
+    `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
     All simulations in one process must have the same architecture, precision and threads.
     """
@@ -72,17 +75,21 @@ class Simulation:
         observers: Sequence[Observer] = (),
         progress: bool = False,
         particles: ParticleData | None = None,
-        resume: Checkpoint | None = None,
+        resume: Checkpoint | Path | str | None = None,
         allow_changes: bool = False,
         allow_long: bool = False,
         plan: Plan | None = None,
+        forces: Sequence[ParticleForce] = (),
     ) -> None:
         wall_clock = WallClock()
+        resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
         self.files = RunDirectory(None if out is None else Path(out), scene, resume)
-        plan = plan or plan_for(scene, on_gpu=not backend.on_cpu)
+        original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
+        plan = original if resume is None else changed_plan(original, resume)
+        plan = plan_with_forces(plan, forces, backend)
         refuse_too_many(plan)
         refuse_run_time(plan, allow_long)
         if backend.on_cpu:
@@ -90,6 +97,9 @@ class Simulation:
         else:
             refuse_without_device_memory(plan, backend.arch)
         change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
+        functions = [name_of(observer) for observer in observers]
+        if resume is not None:
+            refuse_other_functions(resume, plan.external_forces, functions, allow_changes)
         initial, earlier = initial_state(scene, plan, particles, resume)
         self.warnings = warnings_before(scene, plan, initial)
         insertion = ParticleInsertion(scene, earlier)
@@ -97,15 +107,19 @@ class Simulation:
         own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
         self.observers = ObserverList(own_observers, observers)
         engine = Engine(plan, backend)
-        self._state = RunState(engine, insertion, self.observers, wall_clock, earlier)
-        self._loop = TimeLoop(self._state, self.files)
-        self._resumed, self._in_block = resume, False
-        self._open, self._is_open, self._files_ended = ExitStack(), False, False
+        self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
+        self._loop, self._in_block = TimeLoop(self._state, self.files), False
+        self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if initial is not None:
             engine.insert(initial)
         if resume is not None and change is not None:
+            self.observers.remove_named(resume.saved["changes"]["removed_observers"])
+            for force in forces:
+                force.parameters.update(saved_parameters(resume, force.planned))
             self._state.load_state_dict(resume, change)
         self.particles = LiveParticles(self._state)
+        self.walls = LiveWalls(self._state)
+        self.forces = Forces(self._state, forces)
         wall_clock.set_up(engine.timing.compile)
 
     @property
@@ -159,23 +173,23 @@ class Simulation:
                   last two, a checkpoint is written if possible
         """
         end = self._end(until, duration)
-        with self._running():
+        with self._session.running():
             self._advance(end)
             result = self._result()
         is_complete = until is None and duration is None and not self._in_block
-        return self._close() if is_complete else result
+        return self._session.close(self._last_result) if is_complete else result
 
     def step(self, count: int = 1) -> None:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
         wanted, goes_on = self.engine.step_count + count, True
-        with self._running():
+        with self._session.running():
             while goes_on and (remaining := wanted - self.engine.step_count) > 0:
                 steps = remaining if self.plan.adaptive_time_step is None else 1
                 goes_on = self._advance(self.time + steps * self.time_step)
 
     def save(self) -> None:
         """Write a checkpoint of the present time, from which the run can be resumed. Raises the exceptions of `run`."""
-        with self._running():
+        with self._session.running():
             self._loop.save()
 
     def close(self) -> Result | None:
@@ -183,7 +197,7 @@ class Simulation:
 
         Returns the numbers of the run; None if no step was taken since the files were finished.
         """
-        return self._close() if self._is_open else None
+        return self._session.close(self._last_result) if self._session.is_open else None
 
     def __enter__(self) -> "Simulation":
         self._in_block = True
@@ -194,10 +208,7 @@ class Simulation:
     ) -> None:
         self._in_block = False
         if error is not None:
-            with suppress(Exception):
-                if self._is_open and self._state.progress.stage_times:
-                    self._loop.save()
-            self._abandon()
+            self._session.abandon()
         self.free()
 
     def restart(self, particles: ParticleData, time_step: float | None = None) -> None:
@@ -242,80 +253,11 @@ class Simulation:
             return False
         return True
 
-    @contextmanager
-    def _running(self) -> Iterator[None]:
-        """In the block, the files are open, warnings and log are recorded, and the wall clock runs.
-
-        The files remain open for the next block, unless an exception ends it.
-        """
-        with self._guarding():
-            is_first = not self._is_open
-            self._open_files()
-            with self.files.recording(), self._state.wall_clock.running():
-                if is_first and self.files.path is not None:
-                    log_plan(self.plan, self.engine, self._resumed, self.warnings)
-                yield
-
-    @contextmanager
-    def _guarding(self) -> Iterator[None]:
-        """Close the files if an exception ends the block, for some exceptions after a checkpoint."""
-        try:
-            yield
-        except FunctionError as error:
-            failure = self._saved(error)
-            self._abandon()
-            raise failure from error.__cause__
-        except OSError as error:
-            save = self._loop.save if self._state.progress.target is not None else None
-            output_error = self.files.output_error(error, self.time, save)
-            self._abandon()
-            raise output_error from error
-        except BaseException:
-            self._abandon()
-            raise
-
-    def _open_files(self) -> None:
-        """Open the files at the first step. Raises GranflowError if they are finished."""
-        if self._is_open:
-            return
-        if self._files_ended and self.files.path is not None:
-            raise GranflowError(
-                f"The files in {self.files.path} are finished: put all runs of the simulation into one with block, or "
-                "resume from the last checkpoint."
-            )
-        self._is_open = True
-        self._open.enter_context(self.files.open(self.observers.checkpointed().values()))
-        self._open.callback(self.observers.finish)
-        self.files.start_schedule(self.time)
-
-    def _saved(self, error: FunctionError) -> FunctionError:
-        """The error with a sentence on the checkpoint, which is written here if the run has begun."""
-        if self.files.path is None or not self._state.progress.stage_times:
-            return error
-        self._loop.save()
-        return FunctionError(f"{error}. The state at this time is saved in {self.files.path}.")
-
-    def _abandon(self) -> None:
-        """During the handling of an exception, close the files as they are."""
-        if self._is_open:
-            self._is_open, self._files_ended = False, True
-            self._open.__exit__(*sys.exc_info())
-
-    def _close(self) -> Result:
-        """Pass the last snapshot to all observers, write checkpoint and result, and close the files."""
-        with self._running():
-            self._loop.save()
-            take = partial(self.engine.observe, self.stage)
-            with self._state.wall_clock.measuring_output(), suppress(StopRun):
-                self.observers.notify_all(take, frozenset({TOTALS}))
-                self.files.writer.wait()
-            result = self._result()
-            self._state.insertion.log_end()
-            self._loop.log_end()
-            result = self.files.write(result)
-        with self._guarding():
-            self._is_open, self._files_ended = False, True
-            self._open.close()
+    def _last_result(self) -> Result:
+        """Numbers of the run at its end, which is logged."""
+        result = self._result()
+        self._state.insertion.log_end()
+        self._loop.log_end()
         return result
 
     def _result(self) -> Result:

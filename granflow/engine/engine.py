@@ -179,7 +179,7 @@ class Engine:
         if before is None and self.plan.features.energy_budget and self._walls_changed:
             before, energy = self._contact_energy(), self._contact_energy
         self.stepper.discard_poses()
-        self.stepper.refresh(self.step_count)
+        self.stepper.refresh(self.step_count, velocities_lag=self._started)
         if before is not None:
             self.accounting.inserted_energy += energy() - before
         self._walls_changed, self.energy_before_change = False, None

@@ -4,7 +4,7 @@ import math
 
 from granflow.errors import SceneError
 from granflow.load import Scene
-from granflow.scene.schema.motions import RotationSpec, VibrationSpec
+from granflow.scene.schema.motions import Rotation, Vibration
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
@@ -18,7 +18,7 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
     problems = []
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
-            period = _period(motion, scene) if isinstance(motion, VibrationSpec | RotationSpec) else math.inf
+            period = _period(motion, scene) if isinstance(motion, Vibration | Rotation) else math.inf
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 key = f"walls.{name}.motion.{index}"
                 problems.append(
@@ -30,9 +30,9 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
         raise SceneError(problems)
 
 
-def _period(motion: VibrationSpec | RotationSpec, scene: Scene) -> float:
+def _period(motion: Vibration | Rotation, scene: Scene) -> float:
     """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
-    if isinstance(motion, RotationSpec):
+    if isinstance(motion, Rotation):
         rate = abs(motion.angular_velocity)
     else:
         amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)

@@ -14,7 +14,7 @@ from granflow.geometry.shape import unit
 from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
-from granflow.scene.schema.motions import FreeWallSpec, ServoSpec
+from granflow.scene.schema.motions import FreeWall, Servo
 
 GAIN_SHARE = 0.2
 """Share of the force error that a servo corrects in one step, if all particles within reach are in contact."""
@@ -71,9 +71,9 @@ def controlled_motions_of(
     controlled_motions = []
     for index, wall in enumerate(walls):
         for number, given in enumerate(scene.walls[wall.name].motion):
-            if isinstance(given, ServoSpec | FreeWallSpec):
+            if isinstance(given, Servo | FreeWall):
                 stiffness = _stiffness(scene, wall, given, law, pair_cases, velocity)
-                build = _servo if isinstance(given, ServoSpec) else _free
+                build = _servo if isinstance(given, Servo) else _free
                 controlled_motions.append(build(scene, index, wall, number, given, stiffness, step))
     return tuple(controlled_motions)
 

@@ -44,7 +44,7 @@ class ObserverList(Sequence[Observer]):
     def remove(self, observer: Observer) -> None:
         """Remove an observer and close its files. Raises ValueError if it is not in the list."""
         if observer not in self._observers:
-            raise ValueError(f"{_name(observer)} is not an observer of this simulation.")
+            raise ValueError(f"{name_of(observer)} is not an observer of this simulation.")
         self._observers = tuple(each for each in self._observers if each is not observer)
         observer.finish()
 
@@ -96,7 +96,7 @@ class ObserverList(Sequence[Observer]):
             if observer in self._from_scene:
                 raise
             raise FunctionError(
-                f"The function {_name(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
+                f"The function {name_of(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
             ) from error
 
     def readings(self) -> Mapping[str, Readings]:
@@ -111,7 +111,7 @@ class ObserverList(Sequence[Observer]):
     @property
     def function_names(self) -> list[str]:
         """Names of the functions of the observers from Python."""
-        return [_name(observer) for observer in self._observers if observer not in self._from_scene]
+        return [name_of(observer) for observer in self._observers if observer not in self._from_scene]
 
     @property
     def removed_names(self) -> list[str]:
@@ -134,7 +134,7 @@ class ObserverList(Sequence[Observer]):
             observer.finish()
 
 
-def _name(observer: Observer) -> str:
+def name_of(observer: Observer) -> str:
     """Name of the function of an observer, otherwise of its class."""
     return str(getattr(observer, "name", type(observer).__name__))
 
@@ -143,6 +143,6 @@ def _by_name(observers: Sequence[Observer]) -> dict[str, Observer]:
     """The observers by class or function and number: "ParticleFrames 0", "report 0"."""
     found: dict[str, Observer] = {}
     for observer in observers:
-        name = _name(observer)
+        name = name_of(observer)
         found[f"{name} {sum(other.rpartition(' ')[0] == name for other in found)}"] = observer
     return found

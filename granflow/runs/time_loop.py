@@ -180,6 +180,11 @@ class TimeLoop:
             written = self.state.observers.notify_all(take, frozenset({TOTALS}), only_finite=True).is_finite
         raise RunError(message + self.files.note_on_state(written))
 
+    def notify_all(self, quantities: frozenset[str]) -> None:
+        """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
+        with self.state.wall_clock.measuring_output():
+            self.state.observers.notify_all(partial(self.engine.observe, self.state.progress.stage), quantities)
+
     def log_end(self) -> None:
         """Log the simulated time and the number of steps."""
         engine = self.engine

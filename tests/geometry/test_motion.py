@@ -28,7 +28,7 @@ def moved(points, motions, times):
 
 def test_vibration_follows_the_formulas_of_the_schema():
     """The displacement is relative to the position of the wall in the scene."""
-    description = json_schema()["$defs"]["VibrationSpec"]["description"]
+    description = json_schema()["$defs"]["Vibration"]["description"]
     formulas = dict(line.strip().split(":", 1) for line in description.splitlines() if ": " in line and "*" in line)
     assert set(formulas) >= {"displacement", "velocity"}
     amplitude, angular_frequency, start = 2e-3, 90.0, 0.01

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from granflow.errors import SceneError
 from granflow.load import Scene, load
 from granflow.scene.jsonschema import json_schema
-from granflow.scene.schema.motions import VibrationSpec
+from granflow.scene.schema.motions import Vibration
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.schema.walls import Plane
 
@@ -79,7 +79,7 @@ def test_pair_does_not_depend_on_the_order_of_materials(scene):
     [{"amplitude": 0.001, "frequency": 25}, {"frequency": 25, "gamma": 2.5151}, {"amplitude": 1e-3, "gamma": 2.5151}],
 )
 def test_two_of_amplitude_frequency_and_gamma_define_a_vibration(given):
-    vibration = VibrationSpec(kind="vibration", direction=[0, 0, 1], **given)
+    vibration = Vibration(kind="vibration", direction=[0, 0, 1], **given)
     amplitude, omega = vibration.amplitude_and_angular_frequency((0.0, 0.0, -9.81))
     assert amplitude == pytest.approx(0.001, rel=1e-4)
     assert omega == pytest.approx(50 * math.pi, rel=1e-4)

@@ -14,7 +14,7 @@ from granflow.particles.resolve import scaled
 from granflow.particles.sizes import draw_diameters
 from granflow.plan.build import plan_for
 from granflow.plan.max_impact_velocity import max_impact_velocity
-from granflow.scene.schema.motions import VibrationSpec
+from granflow.scene.schema.motions import Vibration
 from granflow.scene.schema.walls import MeshWall
 
 PARTICLE = pi / 6.0 * 0.004**3 * 2500.0
@@ -202,5 +202,5 @@ def test_scale_changes_mesh_walls_but_not_amplitudes(tmp_path):
     wall = MeshWall(shape="mesh", material="glass", file="a.stl", scale=0.001, translate=(1.0, 0.0, -2.0))
     larger = scaled(wall, 3.0)
     assert (larger.scale, larger.translate) == (0.003, (3.0, 0.0, -6.0))
-    vibration = VibrationSpec(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
+    vibration = Vibration(kind="vibration", direction=(0, 0, 1), amplitude=1e-3, frequency=25.0)
     assert scaled(vibration, 3.0) == vibration

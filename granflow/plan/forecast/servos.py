@@ -11,7 +11,7 @@ from granflow.plan.forecast.pressures import solid_volume
 from granflow.plan.forecast.times import nominal_times
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, StageTimes
-from granflow.scene.schema.motions import ServoSpec
+from granflow.scene.schema.motions import Servo
 
 LOOSEST = 0.45
 """Smallest solid fraction of a bed of spheres at rest; random loose packings have 0.55."""
@@ -37,7 +37,7 @@ def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Seque
         wall = walls[motion.wall]
         area = area_of(wall.shape)
         given = scene.walls[motion.name].motion[motion.motion]
-        if not isinstance(given, ServoSpec) or area is None:
+        if not isinstance(given, Servo) or area is None:
             continue
         duration = _duration(given, times)
         distance = _free_path(scene, walls, motion) - solid_volume(scene) / (LOOSEST * area)
@@ -51,7 +51,7 @@ def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Seque
             )
 
 
-def _duration(given: ServoSpec, times: StageTimes) -> float:
+def _duration(given: Servo, times: StageTimes) -> float:
     """Time [s] in which a servo is active."""
     end = max(end for _, end in times.values())
     if given.stages is not None:

@@ -11,7 +11,7 @@ from granflow.load import Scene
 from granflow.plan.forecast.times import nominal_times, present_from
 from granflow.plan.size_classes import diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
-from granflow.scene.schema.motions import TranslationSpec
+from granflow.scene.schema.motions import Translation
 
 POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
@@ -87,7 +87,7 @@ def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
 
 def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
     """Whether a wall is present and translates until the run ends, without limits of its time."""
-    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, TranslationSpec)]
+    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, Translation)]
     return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
 from granflow.scene.schema.fields import Fault, missing
-from granflow.scene.schema.motions import FreeWallSpec, MotionSpec, ServoSpec, VibrationSpec
+from granflow.scene.schema.motions import FreeWall, MotionSpec, Servo, Vibration
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.walls import Plane, Wall
 
@@ -53,7 +53,7 @@ def duration(parts: PartialScene) -> Iterator[Fault]:
 def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
     """Gamma, the peak acceleration over gravity, requires gravity."""
     for path, motion in _motions(parts.scene) if not any(parts.scene.gravity) else ():
-        if isinstance(motion, VibrationSpec) and motion.gamma is not None:
+        if isinstance(motion, Vibration) and motion.gamma is not None:
             yield Fault((*path, "gamma"), "gravity is zero; give amplitude and frequency")
 
 
@@ -63,9 +63,9 @@ def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
     The limits of their gain and mass are computed for one time step.
     """
     scene = parts.scene
-    controlled = [(path, each) for path, each in _motions(scene) if isinstance(each, ServoSpec | FreeWallSpec)]
+    controlled = [(path, each) for path, each in _motions(scene) if isinstance(each, Servo | FreeWall)]
     for path, motion in controlled:
-        has_pressure = isinstance(motion, ServoSpec) and motion.pressure is not None
+        has_pressure = isinstance(motion, Servo) and motion.pressure is not None
         if has_pressure and isinstance(scene.walls[str(path[1])], Plane):
             yield Fault((*path, "pressure"), "a plane is infinite and has no area; give force, or use a rectangle")
     if controlled and scene.run.time_step == "adaptive":

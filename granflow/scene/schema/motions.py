@@ -29,7 +29,7 @@ class TimedMotion(Model):
             yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
 
 
-class VibrationSpec(TimedMotion):
+class Vibration(TimedMotion):
     """Sinusoidal motion along a direction from the given position; t is the time since the start [s].
 
         displacement:  amplitude * (sin(angular_frequency * t + phase) - sin(phase))
@@ -39,7 +39,7 @@ class VibrationSpec(TimedMotion):
     oscillation is at -amplitude * sin(phase) from the given position. At the end the wall stops at its position.
     """
 
-    kind: Literal["vibration"] = Field(description="kind of motion")
+    kind: Literal["vibration"] = Field("vibration", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
     amplitude: q.UnscaledLength | None = Field(None, description="amplitude, half of the peak-to-peak value [m]")
     frequency: q.Frequency | None = Field(None, description="frequency [Hz]")
@@ -78,26 +78,26 @@ class VibrationSpec(TimedMotion):
         return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
 
 
-class TranslationSpec(TimedMotion):
+class Translation(TimedMotion):
     """Motion at a constant velocity [m/s]."""
 
-    kind: Literal["translation"] = Field(description="kind of motion")
+    kind: Literal["translation"] = Field("translation", description="kind of motion")
     velocity: q.VelocityVector = Field(description="velocity [m/s]")
 
 
-class RotationSpec(TimedMotion):
+class Rotation(TimedMotion):
     """Rotation about an axis at a constant rate, right-handed.
 
     The torque on the wall refers to `point`.
     """
 
-    kind: Literal["rotation"] = Field(description="kind of motion")
+    kind: Literal["rotation"] = Field("rotation", description="kind of motion")
     point: q.Point = Field(description="a point on the axis [m]")
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
     angular_velocity: q.AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
 
 
-class ServoSpec(TimedMotion):
+class Servo(TimedMotion):
     """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
 
         v = gain (F - f),      |v| <= velocity_max
@@ -105,7 +105,7 @@ class ServoSpec(TimedMotion):
     F: prescribed force, f: force of the wall on the particles [N], both along `direction`. Gravity does not act on it.
     """
 
-    kind: Literal["servo"] = Field(description="kind of motion")
+    kind: Literal["servo"] = Field("servo", description="kind of motion")
     direction: q.Direction = Field(description="direction of the force on the particles; its length does not matter")
     force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
     pressure: q.Pressure | None = Field(
@@ -125,7 +125,7 @@ class ServoSpec(TimedMotion):
             yield redundant("pressure", "force")
 
 
-class FreeWallSpec(TimedMotion):
+class FreeWall(TimedMotion):
     """A free wall: a rigid body that contact forces, gravity and a given force move along one direction.
 
         M dv/dt = f + M g + force - damping v
@@ -133,12 +133,12 @@ class FreeWallSpec(TimedMotion):
     f: force of the particles on the wall [N], g: gravity [m/s2], both along `direction`. The wall starts at rest.
     """
 
-    kind: Literal["free"] = Field(description="kind of motion")
+    kind: Literal["free"] = Field("free", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")
     mass: q.Mass = Field(description="mass of the wall [kg]")
     force: q.Force = Field(0.0, description="additional force along the direction [N]")
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
-MotionSpec = Annotated[VibrationSpec | TranslationSpec | RotationSpec | ServoSpec | FreeWallSpec, choose_by_key("kind")]
+MotionSpec = Annotated[Vibration | Translation | Rotation | Servo | FreeWall, choose_by_key("kind")]
 """Any kind of motion; the key `kind` selects it."""
