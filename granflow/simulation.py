@@ -161,10 +161,11 @@ class Simulation:
         quantities = {PARTICLES, WALLS, TOTALS, *([CONTACTS] if contacts else [])}
         return self.engine.snapshot(self.stage, frozenset(quantities))
 
-    def run(self, until: float | None = None, duration: float | None = None) -> Result:
+    def run(self, until: float | None = None, duration: float | None = None, within_stages: bool = False) -> Result:
         """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
 
         After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers remain.
+        With `within_stages`, the run ends with the last stage instead.
         `run()` completes the run: outside of a `with` block it ends with `close`.
 
         Returns:  numbers of the run so far; expectations of the scene are evaluated if its stages have ended
@@ -174,7 +175,7 @@ class Simulation:
         """
         end = self._end(until, duration)
         with self._session.running():
-            self._advance(end)
+            self._advance(end, within_stages)
             result = self._result()
         is_complete = until is None and duration is None and not self._in_block
         return self._session.close(self._last_result) if is_complete else result
@@ -245,10 +246,10 @@ class Simulation:
             raise ValueError(f"duration is {duration:g} s, but must not be negative.")
         return end
 
-    def _advance(self, end: float) -> bool:
+    def _advance(self, end: float, within_stages: bool = False) -> bool:
         """Advance to `end` [s]; return False if an observer ends the run before."""
         try:
-            self._loop.run(end)
+            self._loop.run(end, within_stages)
         except StopRun:
             return False
         return True

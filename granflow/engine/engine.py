@@ -151,7 +151,7 @@ class Engine:
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started = False
+        self._started, self.energy_before_change = False, None
         self.insert(new)
         self.refresh()
 

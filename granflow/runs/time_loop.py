@@ -38,15 +38,17 @@ class TimeLoop:
         """Whether the last stage has ended."""
         return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
 
-    def run(self, end: float) -> None:
-        """Run the stages that have not ended, to their ends or to `end` [s]; a finite `end` is always reached.
+    def run(self, end: float, within_stages: bool = False) -> None:
+        """Run the stages that have not ended, to their ends or to `end` [s].
+
+        A finite `end` after that of the last stage is reached too, unless `within_stages`.
 
         Raises StopRun if an observer ends the run, RunError on an abort.
         """
         for stage in self.engine.plan.stages:
             if self.engine.time < end and not self.state.progress.has_ended(stage.name):
                 self._run_stage(stage, end)
-        if self.stages_ended and isfinite(end):
+        if self.stages_ended and isfinite(end) and not within_stages:
             while self.state.progress.target is not None or not self.engine.reached(end):
                 self._advance_to(min(end, self._next_event()))
 

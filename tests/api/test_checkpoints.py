@@ -81,7 +81,7 @@ def other(position, velocity, radius, mass, time, parameters):
     [
         ([], "forces from Python that this program does not register: drag"),
         ([gf.ParticleForce(drag, {"coefficient": 1.0}), gf.ParticleForce(other)], "the run has no force other"),
-        ([gf.ParticleForce(drag)], "has the keys coefficient, but must have none"),
+        ([gf.ParticleForce(drag, {"coefficient": 1.0, "more": 1.0})], "has the keys coefficient, but must have coeff"),
     ],
 )
 def test_functions_must_be_registered_again(runs, forces, message):

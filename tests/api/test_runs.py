@@ -46,6 +46,12 @@ def test_run_continues_beyond_the_last_stage(taichi_f64):
     np.testing.assert_allclose(times, [0.0, 1e-3, 2e-3, 3e-3], atol=2e-5)
 
 
+def test_run_within_the_stages_ends_with_the_last_one(taichi_f64):
+    with gf.Simulation(falling()) as simulation:
+        simulation.run(until=5e-3, within_stages=True)
+        assert simulation.time == pytest.approx(2e-3, abs=2 * simulation.time_step)
+
+
 def test_a_finished_simulation_writes_no_more_files(tmp_path, taichi_f64):
     simulation = gf.Simulation(falling(), out=tmp_path / "out")
     simulation.run()
