@@ -183,7 +183,8 @@ class LiveParticles:
         return values[present_indices(engine.state)].astype(float)
 
     def _force(self) -> np.ndarray:
-        """Forces (n, 3) at the present positions."""
+        """Forces (n, 3) at the present positions, of the forces that are present now."""
+        self._state.prepare()
         if self._engine.is_changed and self._state.progress.stage_times:
             self._engine.refresh()
         return self._field("force").astype(float)

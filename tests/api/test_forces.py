@@ -88,6 +88,7 @@ def test_forces_are_added_and_removed_while_the_simulation_runs(taichi_f64):
         start = simulation.time
         simulation.forces.append(up)
         simulation.forces.append(down)
+        np.testing.assert_allclose(simulation.particles.force[0], [0.0, 0.0, -10.0 * MASS])
         simulation.run(until=3e-3)
         both = simulation.time
         assert simulation.particles.velocity[0, 2] == pytest.approx(-10.0 * (both - start), rel=1e-9)
