@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from granflow.engine.backend import start
-    from granflow.errors import GranflowError, OutputError, RunError, SceneError
+    from granflow.errors import FunctionError, GranflowError, OutputError, RunError, SceneError, StopRun
+    from granflow.live.forces import ParticleForce
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
@@ -97,6 +98,7 @@ __all__ = [
     "FileInsertion",
     "FlowMeter",
     "FreeWall",
+    "FunctionError",
     "GranflowError",
     "Group",
     "HalfSpaceOutlet",
@@ -114,6 +116,7 @@ __all__ = [
     "OutputError",
     "PackInsertion",
     "ParticleData",
+    "ParticleForce",
     "Plan",
     "Plane",
     "PositionsInsertion",
@@ -136,6 +139,7 @@ __all__ = [
     "SlidingMetric",
     "Snapshot",
     "Stage",
+    "StopRun",
     "Translation",
     "UniformSizes",
     "Vibration",
@@ -176,6 +180,7 @@ _LOCATIONS = {
     "FileInsertion": "granflow.scene.schema.insertion:FileInsertion",
     "FlowMeter": "granflow.scene.schema.output:FlowMeter",
     "FreeWall": "granflow.scene.schema.motions:FreeWall",
+    "FunctionError": "granflow.errors:FunctionError",
     "GranflowError": "granflow.errors:GranflowError",
     "Group": "granflow.scene.schema.particles:Group",
     "HalfSpaceOutlet": "granflow.scene.schema.outlets:HalfSpaceOutlet",
@@ -193,6 +198,7 @@ _LOCATIONS = {
     "OutputError": "granflow.errors:OutputError",
     "PackInsertion": "granflow.scene.schema.insertion:PackInsertion",
     "ParticleData": "granflow.particles.particle_data:ParticleData",
+    "ParticleForce": "granflow.live.forces:ParticleForce",
     "Plan": "granflow.plan.plan:Plan",
     "Plane": "granflow.scene.schema.walls:Plane",
     "PositionsInsertion": "granflow.scene.schema.insertion:PositionsInsertion",
@@ -215,6 +221,7 @@ _LOCATIONS = {
     "SlidingMetric": "granflow.scene.schema.analysis:SlidingMetric",
     "Snapshot": "granflow.snapshot:Snapshot",
     "Stage": "granflow.scene.schema.stages:Stage",
+    "StopRun": "granflow.errors:StopRun",
     "Translation": "granflow.scene.schema.motions:Translation",
     "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
     "Vibration": "granflow.scene.schema.motions:Vibration",

@@ -63,3 +63,18 @@ class RunError(GranflowError):
     """
 
     exit_code = 3
+
+
+class StopRun(Exception):
+    """An observer raises it to end the run at the present time; checkpoint and result are written as at the end.
+
+    All observers that are due at this time receive the snapshot before the run ends. `Simulation.run` then returns
+    normally, and the run can continue with the next call.
+    """
+
+
+class FunctionError(GranflowError):
+    """A function from Python, such as that of an observer, failed; the message gives its name and the simulated time.
+
+    The original exception is `__cause__`.
+    """

@@ -134,6 +134,10 @@ _PARTICLE_FIELDS = {
             dtype="real", condition=_rotation, block="force", sorted=False, displayed=False,
         ),
         FieldSpec(
+            "external_force", "", "N", "part of the force from functions of a program", "vector", in_snapshot=False,
+            dtype="real", condition=lambda features: features.external_forces, sorted=False, displayed=False,
+        ),
+        FieldSpec(
             "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
             in_snapshot=False, dtype="position", block="rebuild", sorted=False, displayed=False,
         ),
@@ -233,6 +237,7 @@ TOTAL_QUANTITIES = _by_name(
             "J",
             "work at periodic boundaries: of gravity on wrapped particles, and of moving images",
         ),
+        Quantity("external_work", "", "J", "work of the forces from functions of a program on the particles"),
         Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
         Quantity("free_wall_work", "", "J", "work of gravity, damping and the prescribed force on free walls"),
         Quantity("removed_energy", "", "J", "energy of deleted minus energy of inserted particles"),

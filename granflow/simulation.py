@@ -1,16 +1,17 @@
-"""The time loop: advances to the next event, handles it, and repeats."""
+"""The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
-import logging
 from collections.abc import Sequence
-from functools import partial
 from math import inf, isfinite
 from pathlib import Path
+from types import TracebackType
 
 from granflow.engine.backend import Arch, Precision, start
 from granflow.engine.engine import Engine
-from granflow.engine.limits import abort_message
-from granflow.errors import RunError
-from granflow.io.checkpoint import Checkpoint
+from granflow.errors import StopRun
+from granflow.io.checkpoint import Checkpoint, checkpoint_at
+from granflow.live.forces import Forces, ParticleForce, plan_with_forces
+from granflow.live.particles import LiveParticles
+from granflow.live.walls import LiveWalls
 from granflow.load import Scene
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
@@ -19,23 +20,28 @@ from granflow.plan.build import plan_for
 from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
 from granflow.plan.run_time import refuse_run_time
-from granflow.plan.scene_parts import PlannedStage
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
-from granflow.runs.observer_list import ObserverList
+from granflow.runs.observer_list import ObserverList, name_of
+from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
-from granflow.runs.stage_progress import REST_CHECKS
-from granflow.runs.step_batches import StepBatches
-from granflow.runs.timings import WallClock, collect_result, log_plan
+from granflow.runs.session import RunSession
+from granflow.runs.time_loop import TimeLoop
+from granflow.runs.timings import WallClock, collect_result
 from granflow.snapshot import Snapshot
 from granflow.visible_text import visible_line
 
 
 class Simulation:
-    """One run of one scene.
+    """One run of one scene; a context manager that finishes the files and releases the memory at its end.
+
+        with Simulation(scene, out="out/hopper") as simulation:
+            simulation.step(1000)
+            simulation.run(until=0.2)
+            simulation.run(duration=0.1)
 
     scene:          scene of `load_scene` or `Scene.from_dict`
     arch:           architecture, "cpu" by default
@@ -45,17 +51,19 @@ class Simulation:
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
     particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted
-    resume:         checkpoint from which to continue
+    resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which to
+                    continue; forces and observers from Python must be given again, with the same names
     allow_changes:  resume even if the scene has changes that are not permitted
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
+    forces:         forces on particles from device functions
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
 
     `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
+    `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
-    `run` raises RunError on an abort and OutputError if files cannot be written. All simulations in one process must
-    have the same architecture, precision and threads.
+    All simulations in one process must have the same architecture, precision and threads.
     """
 
     def __init__(
@@ -68,50 +76,77 @@ class Simulation:
         observers: Sequence[Observer] = (),
         progress: bool = False,
         particles: ParticleData | None = None,
-        resume: Checkpoint | None = None,
+        resume: Checkpoint | Path | str | None = None,
         allow_changes: bool = False,
         allow_long: bool = False,
         plan: Plan | None = None,
+        forces: Sequence[ParticleForce] = (),
     ) -> None:
         wall_clock = WallClock()
+        resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
         self.files = RunDirectory(None if out is None else Path(out), scene, resume)
-        self.plan = plan or plan_for(scene, on_gpu=not backend.on_cpu)
-        refuse_too_many(self.plan)
-        refuse_run_time(self.plan, allow_long)
+        original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
+        plan = original if resume is None else changed_plan(original, resume)
+        plan = plan_with_forces(plan, forces, backend)
+        refuse_too_many(plan)
+        refuse_run_time(plan, allow_long)
         if backend.on_cpu:
-            refuse_without_memory(self.plan)
+            refuse_without_memory(plan)
         else:
-            refuse_without_device_memory(self.plan, backend.arch)
-        change = None if resume is None else accepted_change(resume, scene, self.plan, allow_changes)
-        initial, earlier = initial_state(scene, self.plan, particles, resume)
-        self.warnings = warnings_before(scene, self.plan, initial)
-        self._insertion = ParticleInsertion(scene, earlier)
+            refuse_without_device_memory(plan, backend.arch)
+        change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
+        functions = [name_of(observer) for observer in observers]
+        if resume is not None:
+            refuse_other_functions(resume, plan.external_forces, functions, allow_changes)
+        initial, earlier = initial_state(scene, plan, particles, resume)
+        self.warnings = warnings_before(scene, plan, initial)
+        insertion = ParticleInsertion(scene, earlier)
         self.files.create()
-        own_observers = observers_for(self.plan, self.files.path, progress, self.files.writer)
-        self.observers = ObserverList([*own_observers, *observers])
-        self.engine = Engine(self.plan, backend)
-        self._state = RunState(self.engine, self._insertion, self.observers, wall_clock, earlier)
-        self._progress, self._wall_clock = self._state.progress, wall_clock
-        self._resumed, self._batches = resume, StepBatches()
-        self._stop_requested: BaseException | None = None
+        own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
+        self.observers = ObserverList(own_observers, observers)
+        engine = Engine(plan, backend)
+        self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
+        self._loop, self._in_block = TimeLoop(self._state, self.files), False
+        self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if initial is not None:
-            self.engine.insert(initial)
+            engine.insert(initial)
         if resume is not None and change is not None:
+            self.observers.remove_named(resume.saved["changes"]["removed_observers"])
+            for force in forces:
+                force.parameters.update(saved_parameters(resume, force.planned))
             self._state.load_state_dict(resume, change)
-        wall_clock.set_up(self.engine.timing.compile)
+        self.particles = LiveParticles(self._state)
+        self.walls = LiveWalls(self._state)
+        self.forces = Forces(self._state, forces)
+        wall_clock.set_up(engine.timing.compile)
+
+    @property
+    def engine(self) -> Engine:
+        """The device data and kernels of the run; a change of the compiled features replaces them."""
+        return self._state.engine
+
+    @property
+    def plan(self) -> Plan:
+        """The plan, with the changes from Python."""
+        return self._state.plan
 
     @property
     def stage(self) -> str:
         """Name of the current stage."""
-        return self._progress.stage
+        return self._state.progress.stage
 
     @property
     def time(self) -> float:
         """Simulated time [s]."""
         return self.engine.time
+
+    @property
+    def step_count(self) -> int:
+        """Number of completed steps."""
+        return self.engine.step_count
 
     @property
     def time_step(self) -> float:
@@ -123,36 +158,60 @@ class Simulation:
 
         `contacts`: also evaluate the contacts.
         """
+        self._loop.prepare()
         quantities = {PARTICLES, WALLS, TOTALS, *([CONTACTS] if contacts else [])}
         return self.engine.snapshot(self.stage, frozenset(quantities))
 
-    def run(self, until: float | None = None) -> Result:
-        """Run all stages, or to the simulated time `until` [s]; return the numbers of the run.
+    def run(self, until: float | None = None, duration: float | None = None, within_stages: bool = False) -> Result:
+        """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
 
-        Returns:  numbers of the run; expectations of the scene are evaluated if it has reached its end
-        Raises:   RunError on an abort; OutputError if files cannot be written, after a checkpoint if possible
+        After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers remain.
+        With `within_stages`, the run ends with the last stage instead.
+        `run()` completes the run: outside of a `with` block it ends with `close`.
+
+        Returns:  numbers of the run so far; expectations of the scene are evaluated if its stages have ended
+        Raises:   ValueError for times that are not finite or a negative duration, RunError on an abort,
+                  FunctionError if a function from Python fails, OutputError if files cannot be written; before the
+                  last two, a checkpoint is written if possible
         """
-        try:
-            with self.files.open(self.observers.checkpointed().values()), self.observers.finishing():
-                if self.files.path is not None:
-                    log_plan(self.plan, self.engine, self._resumed, self.warnings)
-                return self._run(until)
-        except OSError as error:
-            save = self._save if self._progress.target is not None else None
-            raise self.files.output_error(error, self.time, save) from error
+        end = self._end(until, duration)
+        with self._session.running():
+            self._advance(end, within_stages)
+            result = self._result()
+        is_complete = until is None and duration is None and not self._in_block
+        return self._session.close(self._last_result) if is_complete else result
 
     def step(self, count: int = 1) -> None:
-        """Take `count` steps with all events on the way; after the end of the last stage, steps without events.
+        """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
+        wanted, goes_on = self.engine.step_count + count, True
+        with self._session.running():
+            while goes_on and (remaining := wanted - self.engine.step_count) > 0:
+                steps = remaining if self.plan.adaptive_time_step is None else 1
+                goes_on = self._advance(self.time + steps * self.time_step)
 
-        For simulations without `out`: no file is written. Raises ValueError with `out`, and RunError on an abort.
+    def save(self) -> None:
+        """Write a checkpoint of the present time, from which the run can be resumed. Raises the exceptions of `run`."""
+        with self._session.running():
+            self._loop.save()
+
+    def close(self) -> Result | None:
+        """Finish all files: last frames and rows, checkpoint, result. The simulation cannot continue to write files.
+
+        Returns the numbers of the run; None if no step was taken since the files were finished.
         """
-        if self.files.path is not None:
-            raise ValueError("A simulation with an output directory cannot take single steps; use run(until).")
-        wanted = self.engine.step_count + count
-        while (remaining := wanted - self.engine.step_count) > 0:
-            target = self.time + (remaining if self.plan.adaptive_time_step is None else 1) * self.time_step
-            self._run_stages(target)
-            self._advance(target)
+        return self._session.close(self._last_result) if self._session.is_open else None
+
+    def __enter__(self) -> "Simulation":
+        self._in_block = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._in_block = False
+        if error is not None:
+            self._session.abandon()
+        self.free()
 
     def restart(self, particles: ParticleData, time_step: float | None = None) -> None:
         """Replace all particles, with initial forces and without contact history; no kernel is compiled.
@@ -162,145 +221,53 @@ class Simulation:
         """
         self.engine.restart(particles, time_step)
 
-    def _run(self, until: float | None) -> Result:
-        """Run the stages that have not ended, then write checkpoint and result."""
-        self._wall_clock.start()
-        self.files.start_schedule(self.time)
-        end = inf if until is None else until
-        self._run_stages(end)
-        self._save()
-        with self._wall_clock.measuring_output():
-            last = self.observers.notify_all(partial(self.engine.observe, self.stage), frozenset({TOTALS}))
-            self.files.writer.wait()
-        readings = {**self.observers.readings(), "insertion": self._insertion.results()}
-        result = collect_result(self.engine, self._wall_clock, last.totals, readings)
-        if self.time < end or until is None:
-            result = result.with_expectations(self.plan.expectations)
-        self._insertion.log_end()
-        logging.getLogger("granflow").info("done at %.6g s after %d steps", self.time, self.engine.step_count)
-        return self.files.write(result)
-
     def request_stop(self, error: BaseException) -> None:
         """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
-        self._stop_requested = error
+        self._loop.stop_requested = error
         self.engine.stepper.interrupted = True
 
-    def _run_stages(self, end: float) -> None:
-        """Run the stages that have not ended, to their ends or to `end` [s]."""
-        for stage in self.plan.stages:
-            if self.time < end and not self._progress.has_ended(stage.name):
-                self._run_stage(stage, end)
-
-    def _run_stage(self, stage: PlannedStage, end: float) -> None:
-        """Run a stage to its end, or to `end` [s].
-
-        The stage ends after its longest duration, or, with `kinetic_energy_below`, at the first check at which the
-        particles are at rest; REST_CHECKS checks are distributed evenly. A resumed stage continues at its target.
-        """
-        progress = self._progress
-        if stage.name not in progress.stage_times:
-            self._begin_stage(stage, stage.longest / REST_CHECKS)
-        stop = progress.stage_times[stage.name][0] + stage.longest
-        while progress.target is not None or not self.engine.reached(min(stop, end)):
-            next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
-            self._advance_to(min(stop, end, next_check, self._next_event()))
-            if self.engine.reached(next_check):
-                progress.next_check += stage.longest / REST_CHECKS
-                if self._at_rest(stage):
-                    break
-        else:
-            if not self.engine.reached(stop):
-                return
-        progress.end(self.time)
-
-    def _at_rest(self, stage: PlannedStage) -> bool:
-        """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
-        limit = stage.kinetic_energy_below
-        return limit is not None and self.engine.mean_kinetic_energy() < limit and self._insertion.is_done
-
-    def _begin_stage(self, stage: PlannedStage, check_interval: float) -> None:
-        """Begin a stage: place its walls, insert due particles, compute the forces.
-
-        At the first stage, notify all observers; the run has then begun.
-        """
-        first = not self._progress.stage_times
-        logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.time)
-        self._progress.begin(stage.name, self.time, check_interval)
-        self._progress.set_walls(self.engine)
-        self._insertion.insert_due(self.engine)
-        self.engine.refresh()
-        self._abort_if_diagnosed()
-        if first:
-            with self._wall_clock.measuring_output():
-                self.observers.notify_all(partial(self.engine.observe, self.stage))
-            self.files.began()
-
-    def _next_event(self) -> float:
-        """Return the simulated time [s] of the next observation, insertion or wall change."""
-        changes = [time for time in self._progress.changes if not self.engine.reached(time)]
-        return min([self.observers.next_time(), self._insertion.next_time(), *changes])
-
-    def _advance_to(self, time: float) -> None:
-        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due.
-
-        The target is at least one step ahead, so that the run always advances. A resumed run continues to its saved
-        target.
-        """
-        progress = self._progress
-        if progress.target is None:
-            progress.set_target(max(time, self.time + self.engine.time_step))
-        assert progress.target is not None
-        self._advance(progress.target)
-        if not progress.arrived:
-            inserted = self._insertion.insert_due(self.engine)
-            if progress.remove_past_changes(self.engine) or inserted:
-                progress.set_walls(self.engine)
-                self.engine.refresh()
-            progress.arrived = True
-        with self._wall_clock.measuring_output():
-            self.observers.notify_due(self.engine.reached, partial(self.engine.observe, self.stage))
-        progress.target = None
-
-    def _advance(self, target: float) -> None:
-        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
-
-        Raises RunError if the run exceeds a limit.
-        """
-        while (steps := self.engine.steps_to(target)) > 0:
-            if isfinite(self.files.next_checkpoint):
-                steps = min(steps, max(self.engine.steps_to(self.files.next_checkpoint), 1))
-            self._batches.advance(self.engine, steps)
-            self._abort_if_diagnosed()
-            self._handle_requests()
-
-    def _handle_requests(self) -> None:
-        """Stop if requested, after a checkpoint; write a checkpoint if due."""
-        if self._stop_requested is not None:
-            self._save()
-            raise self._stop_requested
-        with self._wall_clock.measuring_output():
-            self.files.save_if_due(self.time, self.engine.step_count, self._state.state_dict)
-
-    def _save(self) -> None:
-        """Write a checkpoint; nothing without an output directory."""
-        with self._wall_clock.measuring_output():
-            self.files.save(self.time, self.engine.step_count, self._state.state_dict)
-
-    def _abort_if_diagnosed(self) -> None:
-        """After an abort, write the state if all its numbers are finite, and raise RunError with the diagnosis."""
-        diagnosis = self.engine.diagnosis
-        if diagnosis is None:
-            return
-        message = abort_message(diagnosis, self.plan, self.time)
-        with self._wall_clock.measuring_output():
-            written = self.observers.notify_all(
-                partial(self.engine.observe, self.stage), frozenset({TOTALS}), only_finite=True
-            ).is_finite
-        raise RunError(message + self.files.note_on_state(written))
-
     def free(self) -> None:
-        """Release the device memory; the simulation cannot continue afterwards."""
-        self.engine.free()
+        """Finish all files and release the device memory; the simulation cannot continue afterwards."""
+        try:
+            self.close()
+        finally:
+            self.engine.free()
+
+    def _end(self, until: float | None, duration: float | None) -> float:
+        """End [s] of a run with these arguments. Raises ValueError."""
+        if until is not None and duration is not None:
+            raise ValueError("run takes until or duration, not both.")
+        end = inf if until is None else until
+        if duration is not None:
+            end = self.time + duration
+        given = "until" if duration is None else "duration"
+        if (until is not None or duration is not None) and not isfinite(end):
+            raise ValueError(f"{given} is {until if duration is None else duration} s, but must be finite.")
+        if duration is not None and duration < 0.0:
+            raise ValueError(f"duration is {duration:g} s, but must not be negative.")
+        return end
+
+    def _advance(self, end: float, within_stages: bool = False) -> bool:
+        """Advance to `end` [s]; return False if an observer ends the run before."""
+        try:
+            self._loop.run(end, within_stages)
+        except StopRun:
+            return False
+        return True
+
+    def _last_result(self) -> Result:
+        """Numbers of the run at its end, which is logged."""
+        result = self._result()
+        self._state.insertion.log_end()
+        self._loop.log_end()
+        return result
+
+    def _result(self) -> Result:
+        """Numbers of the run so far, with expectations if all stages have ended."""
+        totals = self.engine.observe(self.stage, frozenset({TOTALS})).totals
+        readings = {**self.observers.readings(), "insertion": self._state.insertion.results()}
+        result = collect_result(self.engine, self._state.wall_clock, totals, readings)
+        return result.with_expectations(self.plan.expectations) if self._loop.stages_ended else result
 
     def __repr__(self) -> str:
         """One line: title, simulated time [s], steps, stage."""

@@ -26,6 +26,7 @@ LAYERS = (
     "engine",
     "observers",
     "runs",
+    "live",
     "simulation",
     "studies",
     "cli",

@@ -28,13 +28,6 @@ def test_steps_equal_a_run_to_the_same_time(taichi_f64):
     ran.free()
 
 
-def test_single_steps_need_a_simulation_without_files(tmp_path, taichi_f64):
-    simulation = Simulation(falling(), out=tmp_path / "out")
-    with pytest.raises(ValueError, match="output directory"):
-        simulation.step()
-    simulation.free()
-
-
 def test_particles_from_arrays_replace_those_of_the_scene(taichi_f64):
     given = initial_particles(falling())
     given = replace(given, position=given.position + [0.0, 0.0, 0.5])

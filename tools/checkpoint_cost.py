@@ -63,7 +63,7 @@ def block(out: Path) -> dict[str, float]:
     seconds = []
     for _ in range(TIMES):
         began = time.perf_counter()
-        simulation._save()
+        simulation.save()
         seconds.append(time.perf_counter() - began)
     path = max(out.glob("checkpoint_*.npz"))
     began = time.perf_counter()

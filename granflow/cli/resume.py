@@ -132,7 +132,8 @@ def run_to_end(
     simulation.warnings += printed
     try:
         with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
-            result = simulation.run(until=until)
+            result = simulation.run(until=until, within_stages=True)
+            result = simulation.close() or result
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)

@@ -62,6 +62,20 @@ class Accounting:
             sums[0] += float(by_outlet.sum())
             sums[1] += exact_sum(arrays["mass"][by_outlet])
 
+    def count_removed(self, mass: np.ndarray) -> None:
+        """Count particles with these masses (k,) [kg] that are removed from Python.
+
+        The change of `Engine.stored_energy` contains their energy.
+        """
+        self.deleted_count += len(mass)
+        self.deleted_mass += exact_sum(mass)
+
+    def set_group(self, ids: np.ndarray, group: np.ndarray) -> None:
+        """Set the group numbers (n,) of particles with ids (n,)."""
+        groups = self.by_id("group", np.arange(self.inserted_count)).copy()
+        groups[ids] = group
+        self.group[:] = [groups]
+
     def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
         """`material` or `group` numbers (n,) of the scene for particle ids (n,)."""
         parts = getattr(self, name)

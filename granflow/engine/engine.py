@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.engine.accounting import Accounting, mechanical_energy
 from granflow.engine.backend import Backend
+from granflow.engine.changes import REMOVED_BELOW, write_particles
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.force.contact_output import ContactOutput
 from granflow.engine.force.contact_statistics import ContactStatistics
@@ -24,7 +25,7 @@ from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import FreedState, State
 from granflow.engine.stepper import Stepper
-from granflow.engine.totals import totals_of
+from granflow.engine.totals import ended_contacts_dissipation, totals_of
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion, pose
 from granflow.particles.particle_data import ParticleData
@@ -35,6 +36,9 @@ from granflow.snapshot import Snapshot
 
 TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
+
+MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque")
+"""Fields that determine the mechanical energy at the time of the positions."""
 
 
 class Engine:
@@ -57,6 +61,8 @@ class Engine:
         self._gravity = np.array(plan.gravity)
         self._walls_changed = False
         self._started = False
+        self.energy_before_change: float | None = None
+        self._counts_contacts = False
 
     @property
     def time(self) -> float:
@@ -88,6 +94,16 @@ class Engine:
         return self.time >= time - 0.5 * self.time_step
 
     @property
+    def is_changed(self) -> bool:
+        """True if particles or walls have changed since the last `refresh`; see `engine.changes`."""
+        return self._walls_changed or self.energy_before_change is not None
+
+    @property
+    def has_started(self) -> bool:
+        """True if velocities are half a step behind the positions."""
+        return self._started
+
+    @property
     def aborted(self) -> bool:
         """True if the run exceeded a limit."""
         return bool(self.stepper.abort_code)
@@ -112,7 +128,10 @@ class Engine:
         if not len(new):
             return
         arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
-        self.accounting.insert(new.material, new.group, sum(mechanical_energy(arrays, self._gravity)))
+        energy = sum(mechanical_energy(arrays, self._gravity))
+        self.accounting.insert(new.material, new.group, energy)
+        if self.energy_before_change is not None:
+            self.energy_before_change += energy
         if self._started:
             velocity_gain = 0.5 * self.time_step * self._gravity
             arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
@@ -132,7 +151,7 @@ class Engine:
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started = False
+        self._started, self.energy_before_change = False, None
         self.insert(new)
         self.refresh()
 
@@ -153,15 +172,17 @@ class Engine:
         """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.
 
         The first call also shifts velocities half a step back, as the leapfrog scheme requires. If a wall appears
-        between particles, or disappears, the energy of its contacts counts as inserted or removed.
+        between particles, or disappears, the energy of its contacts counts as inserted or removed; after a change of
+        the particles, the change of all energies.
         """
-        counts_energy = self.plan.features.energy_budget and self._walls_changed
-        before = self._contact_energy() if counts_energy else 0.0
+        before, energy = self.energy_before_change, self.stored_energy
+        if before is None and self.plan.features.energy_budget and self._walls_changed:
+            before, energy = self._contact_energy(), self._contact_energy
         self.stepper.discard_poses()
-        self.stepper.refresh(self.step_count)
-        if counts_energy:
-            self.accounting.inserted_energy += self._contact_energy() - before
-        self._walls_changed = False
+        self.stepper.refresh(self.step_count, velocities_lag=self._started)
+        if before is not None:
+            self.accounting.inserted_energy += energy() - before
+        self._walls_changed, self.energy_before_change = False, None
         if not self._started and not self.aborted:
             self._started = True
             self._kick(-0.5 * self.time_step)
@@ -175,6 +196,32 @@ class Engine:
         """Elastic energy and plastic dissipation [J] of the present contacts."""
         measured = self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))
         return measured["elastic_energy"] + measured["plastic_dissipation"]
+
+    def stored_energy(self) -> float:
+        """Mechanical energy [J] of the particles and, if contacts existed before a change, energies of contacts.
+
+        The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy budget
+        that of ended ones.
+        """
+        energy = sum(mechanical_energy(self.synchronized(MOTION), self._gravity))
+        if self._counts_contacts:
+            energy += self._contact_energy() + ended_contacts_dissipation(self.state)
+        return energy
+
+    def begin_change(self) -> None:
+        """Prepare a change of the particles: shift all velocities to the time of the positions.
+
+        The next `refresh` shifts them back, and counts the change of all energies as inserted.
+        """
+        if self.energy_before_change is not None:
+            return
+        self._counts_contacts = self.timing.rebuild_count > 0
+        self.energy_before_change = self.stored_energy()
+        if self._started:
+            arrays = self.synchronized(MOTION)
+            motion = {name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")}
+            write_particles(self.state, np.arange(self.state.count), motion)
+            self._started = False
 
     def advance(self, steps: int) -> None:
         """Take `steps` steps; fewer after an abort, a stop request or a change of the time step.
@@ -223,9 +270,17 @@ class Engine:
         self.steps_since_update = steps_since_update
         self._started, self._walls_changed = True, False
 
+    def take_over(self, earlier: "Engine") -> None:
+        """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending changes."""
+        self._started, self._walls_changed = earlier._started, earlier._walls_changed
+        self.energy_before_change, self._counts_contacts = earlier.energy_before_change, earlier._counts_contacts
+        self.timing.compile += earlier.timing.compile
+        self.timing.growth_count += earlier.timing.growth_count
+        self.stability_monitor.warnings |= earlier.stability_monitor.warnings
+
     def mean_kinetic_energy(self) -> float:
         """Mean translational and rotational kinetic energy [J] per particle that is not fixed."""
-        arrays = self.synchronized(("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque"))
+        arrays = self.synchronized(MOTION)
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
         return (kinetic + rotational) / max(mobility_mask(arrays).sum(), 1.0)
 
@@ -279,6 +334,7 @@ class Engine:
         """
         names = ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed")
         arrays = copy_to_host(self.state, names, first, last)
+        arrays = {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
         outlet_index = self._outlets_of(arrays["position"].astype(float))
         left_domain = outlet_index < 0
         if self.plan.domain.on_exit == "error" and left_domain.any():
@@ -292,6 +348,10 @@ class Engine:
         low, high = self.plan.domain_low[checked_axes], self.plan.domain_high[checked_axes]
         in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
         return outlet_of(self.plan.outlets, position, in_domain)
+
+    def copied(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Fields on the host in device order, as they are on the device."""
+        return copy_to_host(self.state, names)
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, with velocities and angular velocities at the time of the positions.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.force.external_forces import build_external_force
 from granflow.engine.limits import ABORT_FORCE
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -59,19 +60,22 @@ def build_to_grid(real: Any) -> Any:
 
 
 def build_set_forces(state: State) -> Any:
-    """Device function (i, sums of the contact forces and torques, gravity [m/s2]): add them to the weight.
+    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], time_step): set total forces.
 
-    Aborts if the sums are above the range in which they are exact.
+    Weight and external forces are added to the sums. Aborts if the sums are above the range in which they are exact.
 
-    Reads:   mass, id
-    Writes:  force, torque, abort, abort_particle
+    Reads:   mass, id; as `build_external_force`
+    Writes:  force, torque, abort, abort_particle; as `build_external_force`
     """
     particles, control, features, real = state.particles, state.control, state.plan.features, state.backend.real
     per_unit = state.parameter("per_unit")
+    external_force = build_external_force(state) if features.external_forces else None
 
     @ti.func
-    def set_forces(i, force_sum, torque_sum, acceleration):
+    def set_forces(chunk, i, force_sum, torque_sum, acceleration, dt):
         particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * acceleration
+        if ti.static(features.external_forces):
+            particles.force[i] = particles.force[i] + external_force(chunk, i, particles.force[i], dt)
         if ti.static(features.rotation):
             particles.torque[i] = ti.cast(torque_sum, real)
         units = ti.cast(per_unit(), ti.f64)

@@ -11,6 +11,7 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
+from granflow.engine.force.external_forces import build_add_external_work
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
 from granflow.engine.periodic_box import build_wrap
@@ -25,13 +26,14 @@ def build_integrate(state: State) -> Any:
     not finite or a displacement in one step exceeds `plan.travel_limit`.
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
-    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle; in
-             a periodic box as `build_wrap`
+    Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
+             external_work; in a periodic box as `build_wrap`
     """
     particles, control, features = state.particles, state.control, state.plan.features
     mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
     step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
     wrap = build_wrap(state) if periodic else None
+    add_work = build_add_external_work(state)
 
     @ti.func
     def request_abort(code, i):
@@ -48,6 +50,8 @@ def build_integrate(state: State) -> Any:
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
             # Assignments: Taichi compiles `+=` on a field to an atomic operation.
             particles.velocity[i] = velocity
+            if ti.static(features.external_forces and features.energy_budget):
+                add_work(chunk, i, particles.external_force[i], velocity, dt)
             step_displacement = dt * velocity
             position = particles.position[i] + step_displacement
             particles.position[i] = position

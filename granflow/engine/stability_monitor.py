@@ -50,7 +50,7 @@ class StabilityMonitor:
         speed:       largest speed of a particle [m/s]
         """
         self._check_speed(time, speed)
-        works = (totals[name] for name in ("wall_work", "boundary_work") if name in totals)
+        works = (totals[name] for name in ("wall_work", "boundary_work", "external_work") if name in totals)
         accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
         share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
         earlier = self._above_since
@@ -111,9 +111,10 @@ def _conserves_energy(plan: Plan) -> bool:
     """True if only inserted particles can increase the energy."""
     walls_static = all(wall.is_permanent for wall in plan.walls)
     # Gravity along a periodic axis accelerates particles without limit.
-    has_image_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
-    has_image_work = has_image_work or plan.features.lees_edwards
-    return walls_static and not has_image_work and not plan.features.moving_walls and not plan.laws.attracts
+    has_other_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
+    has_other_work = has_other_work or plan.features.lees_edwards
+    has_other_work = has_other_work or plan.features.external_forces
+    return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts
 
 
 def largest_speed(velocity: np.ndarray) -> float:

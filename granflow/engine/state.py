@@ -19,6 +19,7 @@ from granflow.geometry.motion import Motion
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
 from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
+from granflow.plan.external_forces import parameter_count
 from granflow.plan.plan import Plan
 from granflow.plan.structure import structure_of
 
@@ -153,6 +154,10 @@ class Control(Fields):
     losses:                     terms LOSSES of each chunk, see `exact_sums`
     impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
     boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
+    external_work:              work of external forces of each chunk, see `exact_sums`
+    force_parameters:           parameters of all external forces
+    force_clock:                since_time, time_step, steps since since_time of the next force evaluation, and the
+                                time by which velocities lag behind positions there [s]
     image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
     """
 
@@ -170,6 +175,9 @@ class Control(Fields):
         self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
         self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
+        external, parameters = plan.features.external_forces, parameter_count(plan.external_forces)
+        self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
+        self.force_clock: Any = block.scalar(ti.f64, 4) if external else None
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
         self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None

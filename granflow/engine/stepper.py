@@ -9,6 +9,7 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
 from granflow.engine.state import BATCH, LANES, State
@@ -137,13 +138,14 @@ class Stepper:
         self.state.control.steps_done[0] = 0
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
-    def refresh(self, step: int) -> None:
+    def refresh(self, step: int, velocities_lag: bool) -> None:
         """Rebuild the neighbor lists and compute forces after step number `step`, after particles or walls changed.
 
-        Contact displacements do not change.
+        `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not change.
         """
         pose = self.place_walls(step)
         self.rebuild_neighbor_lists(pose)
+        write_force_inputs(self.state, step, velocities_lag)
         self.forces(pose, history_step=0.0)
 
     def place_walls(self, step: int) -> int:
@@ -208,9 +210,11 @@ class Stepper:
             steps = min(steps, WALL_BATCH - self._pose, max(self._steps_to_displacement_limit(), 1))
         state.control.steps_done[0] = 0
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
+        write_force_inputs(state, step + 1)
         done = self._launch(steps)
         if state.control.rebuild_due[0] and not self.abort_code:
             self.rebuild_neighbor_lists(pose=self._pose + done)
+            write_force_inputs(state, step + done + 1)
             self.forces(pose=self._pose + done)
             done += int(state.control.steps_done[0])
         else:

@@ -9,7 +9,7 @@ from granflow.engine.exact_sums import SHARES, exact_totals
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
-from granflow.plan.chunk_sums import LOSSES
+from granflow.plan.chunk_sums import LOSSES, PLASTIC
 
 LARGEST_ERROR = 5e-3
 """Magnitude of the energy error above which a run warns."""
@@ -60,6 +60,14 @@ def totals_of(
     return totals | controlled_totals(state)
 
 
+def ended_contacts_dissipation(state: State) -> float:
+    """Plastic dissipation [J] of all ended contacts; 0 without the energy budget."""
+    losses = state.control.losses
+    if losses is None:
+        return 0.0
+    return float(exact_totals(losses.to_numpy(), state.plan.sum_units.energy / SHARES)[PLASTIC])
+
+
 def energy_budget_totals(
     state: State, accounting: Accounting, energies: tuple[float, float, float], measured: Mapping[str, float]
 ) -> dict[str, float]:
@@ -80,9 +88,11 @@ def energy_budget_totals(
     losses = dict(zip(LOSSES, exact_totals(state.control.losses.to_numpy(), unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
-    boundary = state.control.boundary_work
-    boundary_work = {} if boundary is None else {"boundary_work": float(exact_totals(boundary.to_numpy(), unit)[0])}
-    works = (losses["wall_work"], *boundary_work.values())
+    sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
+    other_works = {
+        name: float(exact_totals(each.to_numpy(), unit)[0]) for name, each in sums.items() if each is not None
+    }
+    works = (losses["wall_work"], *other_works.values())
     dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")
     present_energy = sum(energies) + measured["elastic_energy"]
     removed = accounting.removed_energy - accounting.inserted_energy
@@ -94,7 +104,7 @@ def energy_budget_totals(
         "gravitational_energy": energies[2],
         "elastic_energy": measured["elastic_energy"],
         **losses,
-        **boundary_work,
+        **other_works,
         "removed_energy": removed,
         "energy_error": residual / scale if scale > 0.0 else 0.0,
     }

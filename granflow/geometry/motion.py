@@ -68,8 +68,25 @@ class ForceControlled:
     end: float = inf
 
 
-Motion = Vibration | Translation | Rotation | ForceControlled
-"""Motion of a wall; a wall can have several, of which at most one is a rotation."""
+@dataclass(frozen=True)
+class Placement:
+    """Pose that earlier motions have reached: a point p of the wall at rest is at `rotation @ p + translation`.
+
+    rotation:     rows of the matrix
+    translation:  [m]
+    pivot:        [m], point of the wall at rest that a later rotation does not define
+    start, end:   [s], always
+    """
+
+    rotation: tuple[tuple[float, ...], ...]
+    translation: tuple[float, ...]
+    pivot: tuple[float, ...]
+    start: float = 0.0
+    end: float = inf
+
+
+Motion = Vibration | Translation | Rotation | ForceControlled | Placement
+"""Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a placement."""
 
 
 @dataclass(frozen=True)
@@ -96,18 +113,45 @@ class Poses:
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     """Pose of a wall at `times` (k,) [s], or at one time; the rest pose without motions.
 
-    Force-controlled motions are ignored: the device integrates them. Raises ValueError for two rotations.
+    Force-controlled motions are ignored: the device integrates them. After a placement, the points of all motions are
+    those of the placed wall. Raises ValueError for two rotations.
     """
+    if motions and isinstance(motions[0], Placement):
+        return _placed(motions[0], pose(motions[1:], times), single_rotation(motions) is not None)
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset = np.zeros((len(times), 3))
     velocity = np.zeros((len(times), 3))
     for motion in motions:
-        if not isinstance(motion, Rotation | ForceControlled):
+        if not isinstance(motion, Rotation | ForceControlled | Placement):
             displacement, rate = displacement_and_rate(motion, times)
             offset += displacement
             velocity += rate
     rotation, angular_velocity, pivot = rotation_of(single_rotation(motions), times)
     return Poses(offset, rotation, velocity, angular_velocity, pivot)
+
+
+def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
+    """Poses of a placed wall that moves on.
+
+        x = R (R0 p + t0 - q) + q + d,    pivot = R0^T (q - t0)
+
+    later:        poses R, d of the motions after the placement, with their pivot q
+    is_rotating:  the motions contain a rotation about q; without it, the pivot of the placement remains
+    """
+    rotation, translation = np.array(placement.rotation), np.array(placement.translation)
+    pivot = rotation.T @ (later.pivot - translation) if is_rotating else np.array(placement.pivot)
+    center = later.pivot if is_rotating else rotation @ pivot + translation
+    turned = later.rotation @ rotation
+    return Poses(later.offset + center - pivot, turned, later.velocity, later.angular_velocity, pivot)
+
+
+def placement_at(motions: Sequence[Motion], time: float) -> Placement:
+    """The pose of a wall with these motions at `time` [s], at which they end."""
+    reached = pose(motions, np.array([time]))
+    rotation, pivot = reached.rotation[0], reached.pivot
+    translation = reached.offset[0] + pivot - rotation @ pivot
+    rows = tuple(tuple(map(float, row)) for row in rotation)
+    return Placement(rows, tuple(map(float, translation)), tuple(map(float, pivot)))
 
 
 def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,7 @@ from granflow.io.checkpoint_archive import ARRAYS, HEADER, read_archive
 from granflow.io.log import version_of
 from granflow.io.regular_files import FormatError, open_regular
 
-FORMAT = 3
+FORMAT = 4
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"
@@ -121,6 +121,20 @@ def newest_checkpoint(directory: Path) -> tuple[Checkpoint | None, list[str]]:
         except DamagedCheckpoint as error:
             skipped.append(str(error))
     return None, skipped
+
+
+def checkpoint_at(path: Path | str) -> Checkpoint:
+    """Return the checkpoint in a file, or the newest intact one in the directory of a run.
+
+    Raises CheckpointError for a damaged file, or a directory without a usable checkpoint.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return read_checkpoint(path)
+    found, _ = newest_checkpoint(path)
+    if found is None:
+        raise CheckpointError(f"{path}: no usable checkpoint; give the directory of a run.")
+    return found
 
 
 def remove_after(directory: Path, path: Path | None) -> None:

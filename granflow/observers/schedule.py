@@ -61,6 +61,10 @@ class ScheduledObserver:
         """Return the time of the next snapshot [s]."""
         return self._schedule.next_time()
 
+    def skip_to(self, time: float) -> None:
+        """Skip the due times up to `time` [s]."""
+        self._schedule.mark_done(time)
+
     def finish(self) -> None:
         """Do nothing: no file is open."""
 

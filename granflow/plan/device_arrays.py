@@ -124,17 +124,19 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
 
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
-    """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries; see `Control`.
+    """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries and of external forces.
 
     Each term has two components, see `engine.exact_sums`.
     """
     chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
     energy_budget = plan.features.energy_budget
+    has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
         DeviceArray("losses", "i64", (chunks,), 2 * len(LOSSES), wanted=energy_budget, saved=True),
         DeviceArray("impulses", "i64", (chunks, measured), 2 * IMPULSE_SIZE, wanted=measured > 0, saved=True),
         DeviceArray("boundary_work", "i64", (chunks,), 2, wanted=has_image_work, saved=True),
+        DeviceArray("external_work", "i64", (chunks,), 2, wanted=has_external_work, saved=True),
     ]
 
 

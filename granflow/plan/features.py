@@ -43,6 +43,8 @@ class Features:
     outlets: bool
     size_classes: str
     """Number of size classes with separate cell grids, or "none"."""
+    external_forces: bool = False
+    """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "fixed_particles": _fixed_reason(scene, features),
         "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
+        "external_forces": "forces are added from Python only",
     }
     return tuple(
         Reason(item.name, _setting(getattr(features, item.name)), reasons[item.name]) for item in fields(features)

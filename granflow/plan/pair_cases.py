@@ -114,7 +114,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
         restitution = given
     models = active_models(scene)
     surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
-    options = {key: getattr(pair, key) or 0.0 for key in registry.pair_options()}
+    options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_options()}
     return PairMaterial(
         modulus_eff(a, b),
         shear_modulus_eff(a, b),

@@ -31,6 +31,7 @@ from granflow.plan.capacities import (
     neighbors_per_particle,
     rounded_capacity,
 )
+from granflow.plan.external_forces import ExternalForce
 from granflow.plan.features import Features, Reason
 from granflow.plan.forecast.overlaps import Forecast
 from granflow.plan.max_impact_velocity import ImpactVelocity
@@ -122,6 +123,8 @@ class Plan:
     """Time steps by impact velocity if the time step is adaptive."""
     forecasts: tuple[Forecast, ...]
     """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
+    external_forces: tuple[ExternalForce, ...] = ()
+    """Forces that a program has added; none follow from the scene."""
 
     @property
     def time_step(self) -> float:

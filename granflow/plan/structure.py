@@ -12,12 +12,13 @@ from granflow.plan.plan import Plan
 def structure_of(plan: Plan) -> Hashable:
     """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor lists'.
 
-    Contact laws count with all their settings.
+    Contact laws count with all their settings, external forces with their functions and names of parameters.
     """
     return (
         plan.precision,
         plan.features,
         plan.laws,
+        plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),
         plan.domain.on_exit == "expand",

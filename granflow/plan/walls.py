@@ -13,7 +13,6 @@ from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
 from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
-from granflow.scene.schema import scene as scene_schema
 from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
@@ -82,7 +81,7 @@ def planned_walls(scene: Scene, material_numbers: Mapping[str, int]) -> tuple[Pl
             name,
             surfaces[name],
             material_numbers[wall.material],
-            planned_motions(wall, scene.gravity),
+            planned_motions(wall.motion, scene.gravity),
             wall.stages,
             wall.appears_at or 0.0,
             inf if wall.vanishes_at is None else wall.vanishes_at,
@@ -120,12 +119,12 @@ def is_force_controlled(wall: AnyWall) -> bool:
     return any(isinstance(each, Servo | FreeWall) for each in wall.motion)
 
 
-def planned_motions(wall: scene_schema.AnyWall, gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
-    """Motions of a wall in numeric form: unit vectors, SI units.
+def planned_motions(motions: Sequence[Any], gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
+    """Motions of a wall of the scene in numeric form: unit vectors, SI units.
 
     `gravity` (3,) [m/s2]: for amplitudes given by Gamma.
     """
-    return tuple(PlannedMotion(_motion(each, gravity), each.stages) for each in wall.motion)
+    return tuple(PlannedMotion(_motion(each, gravity), each.stages) for each in motions)
 
 
 def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
@@ -188,7 +187,7 @@ def surface_speed(scene: Scene) -> float:
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0
     for wall in scene.walls.values():
-        motions = [each.at(times) for each in planned_motions(wall, scene.gravity)]
+        motions = [each.at(times) for each in planned_motions(wall.motion, scene.gravity)]
         controlled_speed = sum(_force_controlled_speed(scene, each, extent) for each in wall.motion)
         fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
     return fastest

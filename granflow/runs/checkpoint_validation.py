@@ -17,7 +17,10 @@ from granflow.runs.checkpoint_neighbors import check_neighbors
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
 
-KEYS = ("stage_progress", "wall_clock", "plan", "earlier", "insertion", "observers", "engine")
+MOST_IDS = 2**31 - 1
+"""Largest number of ids of a run."""
+
+KEYS = ("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "engine")
 """Keys of the state of a run."""
 
 
@@ -128,7 +131,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     `count`: particles present, which is the inserted minus the deleted number.
     """
     accounting.mapping((*SAVED_NUMBERS, "outlets", "material", "group"))
-    inserted = accounting["inserted_count"].integer(count, plan.particle_capacity)
+    inserted = accounting["inserted_count"].integer(count, MOST_IDS)  # Python can remove particles and add others
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
         accounting[name].amount(kind)

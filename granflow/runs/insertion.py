@@ -33,7 +33,12 @@ class ParticleInsertion:
     @property
     def is_done(self) -> bool:
         """Whether all particles are inserted."""
-        return all(inserter.remaining == 0 for inserter in self._inserters)
+        return self.remaining == 0
+
+    @property
+    def remaining(self) -> int:
+        """Number of particles that are not inserted yet."""
+        return sum(inserter.remaining for inserter in self._inserters)
 
     def insert_due(self, engine: Engine) -> bool:
         """Insert the particles that are due; return whether any were inserted.

@@ -1,10 +1,11 @@
 """The observers of a run: one snapshot for all that are due, their readings, and their state."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
+from granflow.errors import FunctionError, StopRun
 from granflow.observers.base import Checkpointable, Observer
+from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.timeseries import TimeSeries
 from granflow.runs.timings import Readings
 from granflow.snapshot import Snapshot
@@ -13,19 +14,49 @@ TakeSnapshot = Callable[[frozenset[str]], Snapshot]
 """Function from the requested quantities to a snapshot of the present state."""
 
 
-class ObserverList:
-    """The observers of a run, in the order in which they receive snapshots."""
+class ObserverList(Sequence[Observer]):
+    """The observers of a run, in the order in which they receive snapshots: those of the scene, then those from Python.
 
-    def __init__(self, observers: Sequence[Observer]) -> None:
-        self._observers = tuple(observers)
-        self._series = [observer for observer in observers if isinstance(observer, TimeSeries)][:1]
+    `append` and `remove` change the list, also while the simulation runs and from within an observer. A checkpoint
+    contains which observers of the scene were removed, and the names of the functions from Python.
+
+    from_scene:  observers of the scene's output block
+    added:       observers from Python
+    """
+
+    def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
+        self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
+        self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
+        self._last_time: float | None = None
+
+    def __getitem__(self, index: int) -> Observer:  # type: ignore[override]
+        return self._observers[index]
+
+    def __len__(self) -> int:
+        return len(self._observers)
+
+    def append(self, observer: Observer) -> None:
+        """Add an observer; after the start of the run, its first snapshot is that of its next due time."""
+        if self._last_time is not None and isinstance(observer, ScheduledObserver):
+            observer.skip_to(self._last_time)
+        self._observers = (*self._observers, observer)
+
+    def remove(self, observer: Observer) -> None:
+        """Remove an observer and close its files. Raises ValueError if it is not in the list."""
+        if observer not in self._observers:
+            raise ValueError(f"{name_of(observer)} is not an observer of this simulation.")
+        self._observers = tuple(each for each in self._observers if each is not observer)
+        observer.finish()
 
     def next_time(self) -> float:
         """Return the simulated time [s] of the next due observer; infinite without."""
         return min((observer.next_time() for observer in self._observers), default=inf)
 
     def notify_due(self, is_reached: Callable[[float], bool], take: TakeSnapshot) -> None:
-        """Pass one snapshot to the observers that are due; `is_reached`: whether a time [s] is reached."""
+        """Pass one snapshot to the observers that are due; `is_reached`: whether a time [s] is reached.
+
+        Raises StopRun after all of them have received it, FunctionError if a function from Python fails.
+        """
         if due := [observer for observer in self._observers if is_reached(observer.next_time())]:
             self._pass_snapshot(due, take, frozenset(), only_finite=False)
 
@@ -36,17 +67,37 @@ class ObserverList:
 
         quantities:   quantities in addition to those that the observers request
         only_finite:  pass it only if all its numbers are finite
+        Raises:       as `notify_due`
         """
         return self._pass_snapshot(self._observers, take, quantities, only_finite)
 
-    @staticmethod
     def _pass_snapshot(
-        observers: Sequence[Observer], take: TakeSnapshot, quantities: frozenset[str], only_finite: bool
+        self, observers: Sequence[Observer], take: TakeSnapshot, quantities: frozenset[str], only_finite: bool
     ) -> Snapshot:
         snapshot = take(quantities.union(*(observer.wants for observer in observers)))
+        self._last_time, stop = snapshot.time, None
         for observer in observers if not only_finite or snapshot.is_finite else ():
-            observer.observe(snapshot)
+            if observer in self._observers:  # another one may have removed it
+                try:
+                    self._observe(observer, snapshot)
+                except StopRun as stopped:
+                    stop = stopped
+        if stop is not None:
+            raise stop
         return snapshot
+
+    def _observe(self, observer: Observer, snapshot: Snapshot) -> None:
+        """Pass a snapshot to an observer; an exception of one from Python becomes a FunctionError."""
+        try:
+            observer.observe(snapshot)
+        except (StopRun, FunctionError):
+            raise
+        except Exception as error:
+            if observer in self._from_scene:
+                raise
+            raise FunctionError(
+                f"The function {name_of(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
+            ) from error
 
     def readings(self) -> Mapping[str, Readings]:
         """Return the numbers of the flow meters, wall forces and metrics."""
@@ -57,20 +108,41 @@ class ObserverList:
         """Whether the time series still has all rows of the resumed run."""
         return all(series.rows_intact for series in self._series)
 
+    @property
+    def function_names(self) -> list[str]:
+        """Names of the functions of the observers from Python."""
+        return [name_of(observer) for observer in self._observers if observer not in self._from_scene]
+
+    @property
+    def removed_names(self) -> list[str]:
+        """Names in checkpoints of the observers of the scene that were removed."""
+        return [name for name, each in _by_name(self._from_scene).items() if each not in self._observers]
+
+    def remove_named(self, names: Sequence[str]) -> None:
+        """Remove the observers of the scene with these names in checkpoints, without an effect on files."""
+        removed = [each for name, each in _by_name(self._from_scene).items() if name in names]
+        self._observers = tuple(each for each in self._observers if each not in removed)
+
     def checkpointed(self) -> dict[str, Checkpointable]:
         """Return the observers whose state is part of checkpoints, by unique names."""
-        found: dict[str, Checkpointable] = {}
-        for observer in self._observers:
-            if isinstance(observer, Checkpointable):
-                kind = type(observer).__name__
-                found[f"{kind} {sum(name.startswith(kind) for name in found)}"] = observer
-        return found
+        named = _by_name(self._from_scene) | _by_name([each for each in self if each not in self._from_scene])
+        return {name: each for name, each in named.items() if isinstance(each, Checkpointable) and each in self}
 
-    @contextmanager
-    def finishing(self) -> Iterator[None]:
-        """Close the files of all observers at the end of the block."""
-        try:
-            yield
-        finally:
-            for observer in self._observers:
-                observer.finish()
+    def finish(self) -> None:
+        """Close the files of all observers."""
+        for observer in self._observers:
+            observer.finish()
+
+
+def name_of(observer: Observer) -> str:
+    """Name of the function of an observer, otherwise of its class."""
+    return str(getattr(observer, "name", type(observer).__name__))
+
+
+def _by_name(observers: Sequence[Observer]) -> dict[str, Observer]:
+    """The observers by class or function and number: "ParticleFrames 0", "report 0"."""
+    found: dict[str, Observer] = {}
+    for observer in observers:
+        name = name_of(observer)
+        found[f"{name} {sum(other.rpartition(' ')[0] == name for other in found)}"] = observer
+    return found

@@ -1,7 +1,7 @@
 """Checks whether a run can continue from a checkpoint with a given scene."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -97,7 +97,7 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
             f"{named} Run the scene from the start, or continue despite the change with --allow-changes."
         )
     _refuse_other_numbers(checkpoint, plan)
-    _refuse_jumps(before, plan, saved["stage_progress"]["stage_times"], checkpoint.time)
+    _refuse_jumps(before, plan, saved, checkpoint.time)
     check_engine(checkpoint, plan, before)
     return Change(differences(before, now))
 
@@ -121,18 +121,19 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
             )
 
 
-def _refuse_jumps(before: Scene, plan: Plan, stage_times: StageTimes, time: float) -> None:
-    """Raise GranflowError if a changed motion displaces a wall at `time` [s].
+def _refuse_jumps(before: Scene, plan: Plan, saved: Mapping[str, Any], time: float) -> None:
+    """Raise GranflowError if a motion that the scene changes displaces a wall at `time` [s].
 
-    `before`: scene of the checkpoint; `stage_times`: start and end [s] of its stages. The displacement is that of the
-    corners of the domain.
+    `before`: scene of the checkpoint; `saved`: its state, with the start and end [s] of the stages, and the walls that
+    follow Python instead of the scene. The displacement is that of the corners of the domain.
     """
+    stage_times: StageTimes = saved["stage_progress"]["stage_times"]
     corners = np.array(list(product(*zip(plan.domain_low, plan.domain_high, strict=True))))
-    motions_before = [planned_motions(wall, before.gravity) for wall in before.walls.values()]
+    motions_before = [planned_motions(wall.motion, before.gravity) for wall in before.walls.values()]
     motions = [wall_motions(each, stage_times) for each in (motions_before, [wall.motions for wall in plan.walls])]
     for wall, first, second in zip(plan.walls, *motions, strict=False):
         moved = np.linalg.norm(_positions(first, time, corners) - _positions(second, time, corners), axis=1).max()
-        if moved > MAX_JUMP * plan.radius_min:
+        if wall.name not in saved["changes"]["walls"] and moved > MAX_JUMP * plan.radius_min:
             raise GranflowError(
                 f"walls.{wall.name}.motion would displace the wall by {moved:.3g} m at {time:.6g} s. Terminate "
                 "the old motion at this time (end:) and add another motion from this time (start:)."

@@ -40,6 +40,8 @@ class RunDirectory:
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
         self._warnings: list[str] = []
+        self._recorded: list[str] = []
+        self._log_exists = resumed is not None
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
 
@@ -50,21 +52,33 @@ class RunDirectory:
 
     @contextmanager
     def open(self, observers: Iterable[Checkpointable]) -> Iterator[None]:
-        """Lock the directory, move the results of a previous run aside, write the input files, and start the log.
+        """Lock the directory, move the results of a previous run aside, and write the input files.
 
         An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
         The end of the block waits for the frames.
         """
         with ExitStack() as stack:
-            self._warnings = stack.enter_context(collected_warnings())
             if self.path is not None:
                 stack.enter_context(locked(self.path))
                 if self._resumed is None:
                     self._delete_previous = stack.enter_context(replaced_run(self.path))
                 self._clean(self.path, observers)
-                stack.enter_context(run_log(self.path, append=self._resumed is not None))
                 stack.enter_context(self.writer.running())
             yield
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """In the block, collect the warnings and write the log, to which later blocks append."""
+        with ExitStack() as stack:
+            self._recorded = stack.enter_context(collected_warnings())
+            if self.path is not None:
+                stack.enter_context(run_log(self.path, append=self._log_exists))
+                self._log_exists = True
+            try:
+                yield
+            finally:
+                self._warnings += self._recorded
+                self._recorded = []
 
     def _clean(self, path: Path, observers: Iterable[Checkpointable]) -> None:
         """Remove temporary files, newer checkpoints and results after the resumed state; write the input files."""
@@ -124,7 +138,7 @@ class RunDirectory:
     def write(self, result: Result) -> Result:
         """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
         self.writer.wait()
-        result = replace(result, warnings=tuple(dict.fromkeys(self._warnings)))
+        result = replace(result, warnings=tuple(dict.fromkeys([*self._warnings, *self._recorded])))
         if self.path is not None:
             write_result(self.path, result)
         return result

@@ -4,11 +4,14 @@ from typing import Any
 
 from granflow.engine.checkpoint import EngineCheckpoint
 from granflow.engine.engine import Engine
+from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
+from granflow.plan.plan import Plan
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_observers import check_observers, check_streams
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
+from granflow.runs.python_changes import saved_changes
 from granflow.runs.resume import Change, plan_fingerprint
 from granflow.runs.stage_progress import StageProgress
 from granflow.runs.timings import WallClock
@@ -17,7 +20,9 @@ from granflow.runs.timings import WallClock
 class RunState:
     """Engine, stages, insertion, observers and wall clock of a run.
 
-    `earlier`: names of the groups whose particles do not come from the scene.
+    `earlier`: names of the groups whose particles do not come from the scene. `original`: plan of the scene;
+    `plan`: of the next step; changes from
+    Python replace it, and `prepare` applies it.
     """
 
     def __init__(
@@ -27,11 +32,25 @@ class RunState:
         observers: ObserverList,
         wall_clock: WallClock,
         earlier: list[str],
+        original: Plan,
     ) -> None:
         self.engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
         self.progress = StageProgress.of(engine.plan)
-        self._earlier = earlier
-        self._engine_checkpoint = EngineCheckpoint(engine)
+        self.plan = engine.plan
+        self._original = original
+        self._earlier, self._walls_changed = earlier, False
+
+    def prepare(self) -> None:
+        """Continue with an engine for `plan`, which may have changed; compiles new features."""
+        if self.plan is not self.engine.plan:
+            self.engine = with_plan(self.engine, self.plan)
+        if self._walls_changed and self.progress.stage_times:
+            self.progress.set_walls(self.engine)
+        self._walls_changed = False
+
+    def change_walls(self, plan: Plan) -> None:
+        """Continue with a plan with other walls."""
+        self.plan, self._walls_changed = plan, True
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays."""
@@ -39,10 +58,11 @@ class RunState:
             "stage_progress": self.progress.state_dict(),
             "wall_clock": self.wall_clock.state_dict(self.engine),
             "plan": plan_fingerprint(self.engine.plan),
+            "changes": saved_changes(self.plan, self._original, self.observers),
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
-            "engine": self._engine_checkpoint.state_dict(),
+            "engine": EngineCheckpoint(self.engine).state_dict(),
         }
 
     def load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
@@ -59,7 +79,7 @@ class RunState:
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
-        self._engine_checkpoint.load_state_dict(saved["engine"], motions)
+        EngineCheckpoint(self.engine).load_state_dict(saved["engine"], motions)
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():
             if name in saved["observers"]:

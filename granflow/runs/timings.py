@@ -22,16 +22,24 @@ class WallClock:
 
     def __init__(self) -> None:
         self._began = clock.perf_counter()
-        self._before_resume, self._setup = 0.0, 0.0
+        self._before_resume, self._setup, self._elapsed = 0.0, 0.0, 0.0
+        self._is_running = True
         self.output = 0.0
 
     def set_up(self, compile_seconds: float) -> None:
         """Record the set-up time [s], without `compile_seconds`."""
         self._setup = clock.perf_counter() - self._began - compile_seconds
+        self._is_running = False
 
-    def start(self) -> None:
-        """Start the clock of the run; the time between the set-up and this call is not counted."""
-        self._began = clock.perf_counter()
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Run the clock during the block; the time between two blocks is not counted."""
+        self._began, self._is_running = clock.perf_counter(), True
+        try:
+            yield
+        finally:
+            self._elapsed += clock.perf_counter() - self._began
+            self._is_running = False
 
     @contextmanager
     def measuring_output(self) -> Iterator[None]:
@@ -42,7 +50,8 @@ class WallClock:
 
     def total(self, engine: Engine) -> float:
         """Return the total time so far [s]."""
-        return self._before_resume + clock.perf_counter() - self._began + self._setup + engine.timing.compile
+        present = clock.perf_counter() - self._began if self._is_running else 0.0
+        return self._before_resume + self._elapsed + present + self._setup + engine.timing.compile
 
     def state_dict(self, engine: Engine) -> dict[str, Any]:
         """Return the state for a checkpoint: output time and total time so far [s]."""

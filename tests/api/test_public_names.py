@@ -87,7 +87,7 @@ def test_examples_are_not_in_the_schema_of_files():
 
 def test_guide_runs_as_one_script(taichi_f64, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    guide = (ROOT / "docs" / "pages" / "guides" / "python.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "pages" / "guides" / "scenes_in_python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
     names: dict = {}
     exec("\n".join(blocks), names)

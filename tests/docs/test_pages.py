@@ -85,6 +85,16 @@ def main_accepts(command):
     return True
 
 
+@pytest.mark.slow
+def test_python_guide_works_as_written(tmp_path):
+    """The blocks of the page are one program."""
+    program = "".join(text for language, text in blocks("guides/python.md") if language == "python")
+    (tmp_path / "guide.py").write_text(program)
+    done = run("python guide.py", tmp_path)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    assert "stopped at" in done.stdout and (tmp_path / "out" / "beads" / "result.json").exists()
+
+
 STUDY_FILES = {"sweep.yaml": read_sweep, "calibration.yaml": read_calibration}
 """Reader of each file in the guides that is not a scene; raises SceneError for an invalid file."""
 

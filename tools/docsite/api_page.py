@@ -24,7 +24,7 @@ table = gf.read_run("out/hopper").timeseries             # pandas
 ```
 
 Names of the package `granflow`, imported as `gf` in the examples, in SI units. Arrays are numpy arrays with the shape
-in parentheses. The [guide](../guides/python.md) builds a scene in Python, runs it and reads its results; the
+in parentheses. The [guide](../guides/scenes_in_python.md) builds a scene in Python, runs it and reads its results; the
 [blocks of a scene](python_blocks.md) have a page of their own. In the examples, `two.yaml` is the
 [first scene](../tutorials/first_scene.md) and `out/two` its run.
 """

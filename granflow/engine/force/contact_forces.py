@@ -303,7 +303,7 @@ def build_forces(state: State) -> Any:
                     if ti.static(features.rotation):
                         batch.sums[worker, i - first][3 + axis] = torque_sum[axis]
             else:
-                set_forces(i, force_sum, torque_sum, acceleration)
+                set_forces(chunk, i, force_sum, torque_sum, acceleration, dt)
         if ti.static(batched):
             batched_forces(worker, chunk, first, last, pose, dt)
             for i in range(first, last):
@@ -311,7 +311,7 @@ def build_forces(state: State) -> Any:
                 torque_sum = ti.Vector.zero(ti.f64, 3)
                 if ti.static(features.rotation):
                     torque_sum = ti.Vector([sums[3], sums[4], sums[5]])
-                set_forces(i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum, acceleration)
+                set_forces(chunk, i, ti.Vector([sums[0], sums[1], sums[2]]), torque_sum, acceleration, dt)
         carry_sums(chunk)
 
     return forces
@@ -320,7 +320,7 @@ def build_forces(state: State) -> Any:
 def _build_carry_sums(state: State) -> Any:
     """Device function (chunk): move the carries of the energies, once per step and chunk.
 
-    Writes:  losses, boundary_work
+    Writes:  losses, boundary_work, external_work
     """
     control, features, loss_count = state.control, state.plan.features, len(LOSSES)
 
@@ -330,5 +330,7 @@ def _build_carry_sums(state: State) -> Any:
             control.losses[chunk] = carried(control.losses[chunk], loss_count)
             if ti.static(features.periodic != "none"):
                 control.boundary_work[chunk] = carried(control.boundary_work[chunk], 1)
+            if ti.static(features.external_forces):
+                control.external_work[chunk] = carried(control.external_work[chunk], 1)
 
     return carry_sums

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.changes import REMOVED_BELOW
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
@@ -19,20 +20,21 @@ def find_farthest(state: State) -> None:
 
 
 def build_remains(state: State) -> Any:
-    """Device function (i): true if particle i is in the domain and not in an outlet.
+    """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from Python.
 
     Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is outside; an
-    outlet does not delete fixed particles.
+    outlet does not delete fixed particles. `changes.remove_particles` marks particles by a negative radius.
 
-    Reads:  position, fixed
+    Reads:  position, radius, fixed
     """
     in_outlet = _build_in_outlet(state)
-    position, low, high = state.particles.position, state.parameter("domain_low"), state.parameter("domain_high")
+    position, radius = state.particles.position, state.particles.radius
+    low, high = state.parameter("domain_low"), state.parameter("domain_high")
     unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else state.plan.periodic_box.axes
 
     @ti.func
     def remains(i):
-        p, inside, lows, highs = position[i], True, low(), high()
+        p, inside, lows, highs = position[i], radius[i] > REMOVED_BELOW, low(), high()
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
                 inside = inside and p[axis] == p[axis]  # false for NaN

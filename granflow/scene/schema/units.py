@@ -126,6 +126,14 @@ def to_si(text: str, dimension: str) -> float:
     return float(exact) if abs(exact) < _LARGEST else math.copysign(math.inf, plain)
 
 
+def seconds_of(name: str, time: float | str) -> float:
+    """The argument `name` of a function, a number [s] or text with a unit such as "1 ms", in s. Raises ValueError."""
+    try:
+        return to_si(time, "time") if isinstance(time, str) else float(time)
+    except UnitError as error:
+        raise ValueError(f"{name} is {time}, but {error}.") from None
+
+
 def _factor(unit: str, dimension: str) -> Fraction:
     """Exact factor of a unit to SI; 1 without a unit. Raises UnitError."""
     if not unit:

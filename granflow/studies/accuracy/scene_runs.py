@@ -133,7 +133,7 @@ def run_task(task: SceneTask) -> RunOutcome:
     interval = min(total_duration, task.until or total_duration) / SAMPLES
     try:
         simulation = Simulation(scene, observers=[on_interval(interval, means.update, ("particles", "totals"))])
-        result = simulation.run(until=task.until)
+        result = simulation.run(until=task.until, within_stages=True)
     except SceneError as error:
         return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
     except RunError as error:

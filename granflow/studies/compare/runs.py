@@ -114,7 +114,7 @@ def run_variant(
         return "; ".join(error.problems)
     stopped = ""
     try:
-        simulation.run(until)
+        simulation.run(until, within_stages=True)
     except RunError as error:
         stopped = str(error)
     finally:

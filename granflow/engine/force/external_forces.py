@@ -1,0 +1,166 @@
+"""Forces on particles from device functions of a program, and their work.
+
+They are evaluated with the contact forces, at the time of the positions, and are part of `force`: integration,
+synchronized velocities and snapshots need no other term. Velocities are half a step behind; they are extrapolated with
+the total force, first without and then with the external forces:
+
+    v' = v(t - dt/2) + dt/2 F / m,      v'' = v(t - dt/2) + dt/2 (F + f(v')) / m,      f = f(x(t), v'', t)
+
+which is of second order in dt for velocity-dependent forces. The work of a step is the mean of the forces at its ends
+times the displacement:
+
+    W = dt v(t + dt/2) . [f(t) + f(t + dt)] / 2
+"""
+
+from typing import Any
+
+from granflow.device_functions import at_compile_time
+from granflow.engine.backend import Backend
+from granflow.engine.field_block import FieldBlock
+from granflow.engine.frozen_masks import build_mobility
+from granflow.engine.state import State
+from granflow.kernel_language import ti
+from granflow.plan.external_forces import ExternalForce
+from granflow.plan.sum_units import ENERGY
+
+
+def write_force_inputs(state: State, step: int, velocities_lag: bool = True) -> None:
+    """Write parameters and clock of the external forces, for forces after step number `step`; nothing without any.
+
+    `velocities_lag`: velocities are half a step behind the positions.
+    """
+    if not state.plan.features.external_forces:
+        return
+    control, clock = state.control, state.clock.state_dict()
+    lag = 0.5 * clock["time_step"] if velocities_lag else 0.0
+    for k, value in enumerate((clock["since_time"], clock["time_step"], step - clock["since_step"], lag)):
+        control.force_clock[k] = float(value)
+    numbers = [number for force in state.plan.external_forces for number in force.numbers]
+    for k, number in enumerate(numbers):
+        control.force_parameters[k] = number
+
+
+def build_external_force(state: State) -> Any:
+    """Device function (chunk, i, force [N] without external forces, time_step): external force [N] on particle i.
+
+    Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters
+    Writes:  external_force, external_work
+    """
+    particles, control, real = state.particles, state.control, state.backend.real
+    total_force, mobility, add_work = _build_sum(state), build_mobility(state), build_add_external_work(state)
+
+    @ti.func
+    def external_force(chunk, i, force, dt):
+        lag = mobility(i) * ti.cast(control.force_clock[3], real) / particles.mass[i]
+        first = total_force(i, particles.velocity[i] + lag * force)
+        found = total_force(i, particles.velocity[i] + lag * (force + first))
+        particles.external_force[i] = found
+        if ti.static(state.plan.features.energy_budget):
+            add_work(chunk, i, found, particles.velocity[i], dt)
+        return found
+
+    return external_force
+
+
+def build_add_external_work(state: State) -> Any:
+    """Device function (chunk, i, force [N], velocity [m/s] at the half step, time_step): add the work of half a step.
+
+    Rounded to the nearest unit, so that the errors of many small terms cancel. Fixed particles do not move.
+
+    Reads:   fixed
+    Writes:  external_work
+    """
+    control, per_unit, mobility = state.control, state.parameter("per_unit"), build_mobility(state)
+
+    @ti.func
+    def add_work(chunk, i, force, velocity, dt):
+        power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
+        # half of the work in a step, in units of energy / SHARES
+        units = ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power
+        added = ti.cast(ti.floor(units + 0.5), ti.i64)
+        control.external_work[chunk][0] = control.external_work[chunk][0] + added
+
+    return add_work
+
+
+def _build_sum(state: State) -> Any:
+    """Device function (i, velocity [m/s]): sum of all external forces [N]."""
+    particles, control, real = state.particles, state.control, state.backend.real
+    forces, first = [], 0
+    for force in state.plan.external_forces:
+        forces.append(_build_call(force, first, control.force_parameters))
+        first += sum(width for _, width in force.layout)
+
+    @ti.func
+    def total_force(i, velocity):
+        since, step, count = control.force_clock[0], control.force_clock[1], control.force_clock[2]
+        time = since + (count + ti.cast(control.steps_done[0], ti.f64)) * step
+        total = ti.Vector.zero(real, 3)
+        for call in ti.static(forces):
+            found = call(particles.position[i], velocity, particles.radius[i], particles.mass[i], time)
+            total += ti.cast(found, real)
+        return total
+
+    return total_force
+
+
+def _build_call(force: ExternalForce, first: int, values: Any) -> Any:
+    """Device function (position, velocity, radius, mass, time): one force, with its parameters from `first` on."""
+    function, parts, k = _device_function(force), [], first
+    for name, width in force.layout:
+        parts.append((name, _number if width == 1 else _vector, k))
+        k += width
+
+    @ti.func
+    def call(position, velocity, radius, mass, time):
+        parameters = ti.Struct({name: part(values, k) for name, part, k in ti.static(parts)})
+        found = function(position, velocity, radius, mass, time, parameters)
+        check_vector(found)
+        return found
+
+    return call
+
+
+def _device_function(force: ExternalForce) -> Any:
+    """The function of a force as a device function, also if it is a Python function without decorator."""
+    is_compiled = any(hasattr(force.function, f"_is_{name}_function") for name in ("taichi", "quadrants"))
+    return force.function if is_compiled else ti.func(force.function)
+
+
+@ti.func
+def _number(values, k: ti.template()):
+    return values[k]
+
+
+@ti.func
+def _vector(values, k: ti.template()):
+    return ti.Vector([values[k], values[k + 1], values[k + 2]])
+
+
+@at_compile_time
+def check_vector(found: Any) -> None:
+    """Raise TypeError unless the result of a force function is a vector of three components."""
+    if not (hasattr(found, "is_tensor") and found.is_tensor() and tuple(found.get_shape()) == (3,)):
+        raise TypeError("the function must return a vector of three components [N]")
+
+
+def compile_alone(backend: Backend, force: ExternalForce) -> None:
+    """Compile one force by itself, on a particle at the origin, so that an error refers to it.
+
+    Raises the exceptions of the kernel language.
+    """
+    block, real = FieldBlock(), backend.real
+    values, result = block.scalar(ti.f64, max(len(force.numbers), 1)), block.vector(ti.f64, 1)
+    block.finish()
+    call, position_real = _build_call(force, 0, values), backend.position_real
+
+    @ti.kernel
+    def evaluate():
+        origin, rest = ti.Vector.zero(position_real, 3), ti.Vector.zero(real, 3)
+        one = ti.cast(1.0, real)
+        result[0] = ti.cast(call(origin, rest, one, one, ti.cast(0.0, ti.f64)), ti.f64)
+
+    try:
+        evaluate()
+    finally:
+        block.free()

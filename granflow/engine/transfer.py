@@ -1,0 +1,57 @@
+"""Moves a run to an engine with another plan: larger capacity, more features, or other walls."""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.engine.engine import Engine
+from granflow.plan.device_arrays import particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
+from granflow.plan.plan import Plan
+from granflow.plan.structure import structure_of
+
+
+def with_plan(engine: Engine, plan: Plan) -> Engine:
+    """An engine that continues with another plan: the same one if its kernels and capacities suffice.
+
+    plan:  equal to that of the engine in time step, chunk size, materials and contact laws
+
+    Otherwise the given engine is freed, and kernels are compiled as necessary. The run continues with the same bits.
+    """
+    same_size = plan.particle_capacity == engine.plan.particle_capacity
+    if same_size and structure_of(plan) == structure_of(engine.plan):
+        engine.plan = engine.state.plan = engine.stability_monitor.plan = plan
+        return engine
+    saved, motions, backend = EngineCheckpoint(engine).state_dict(), engine.state.wall_motions, engine.state.backend
+    engine.free()
+    moved = Engine(plan, backend)
+    EngineCheckpoint(moved).load_state_dict(_fitted(saved, plan), motions)
+    moved.take_over(engine)
+    return moved
+
+
+def _fitted(saved: dict[str, Any], plan: Plan) -> dict[str, Any]:
+    """The saved state with the arrays of another plan: new ones are zero, longer ones are padded with zeros."""
+    particles, sums, dynamics = (
+        saved_arrays(arrays) for arrays in (particle_arrays(plan), sum_arrays(plan), wall_dynamics_arrays(plan))
+    )
+    count = saved["particle_count"]
+    fitted = {"particles": {}, "energy_budget": {}, "wall_dynamics": dict(saved["wall_dynamics"])}
+    for name, array in particles.items():
+        zeros = np.zeros(count if array.width is None else (count, array.width))
+        fitted["particles"][name] = saved["particles"].get(name, zeros)
+    for name, array in sums.items():
+        shape = array.shape if array.width is None else (*array.shape, array.width)
+        fitted["energy_budget"][name] = _padded(saved["energy_budget"].get(name), shape)
+    if plan.controlled_motions:
+        for name, array in dynamics.items():
+            fitted["wall_dynamics"][name] = _padded(saved["wall_dynamics"][name], array.shape)
+    return saved | fitted
+
+
+def _padded(values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """The values with zeros up to the shape; zeros of int64 without values."""
+    padded = np.zeros(shape, np.int64 if values is None else values.dtype)
+    if values is not None:
+        padded[tuple(slice(length) for length in values.shape)] = values
+    return padded

@@ -1,0 +1,74 @@
+"""Particles that are added from Python: arguments to arrays."""
+
+from typing import Any
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.live.values import array_of, in_domain, named
+from granflow.particles.particle_data import ParticleData
+from granflow.plan.plan import Plan
+from granflow.plan.scene_parts import PlannedGroup
+
+
+def particle_data(
+    plan: Plan,
+    position: Any,
+    diameter: Any,
+    material: str | None,
+    velocity: Any,
+    group: str | None,
+    angular_velocity: Any,
+) -> ParticleData:
+    """Arrays of new particles from the arguments of `LiveParticles.add`. Raises GranflowError."""
+    centers = np.asarray(position, dtype=object)
+    count = 1 if centers.ndim == 1 and centers.shape == (3,) else len(centers) if centers.ndim else 0
+    number = _group_number(plan, material, group)
+    chosen = plan.groups[number]
+    position = array_of("position", position, count, 3)
+    in_domain(plan, "position", position)
+    velocity = array_of("velocity", velocity, count, 3)
+    angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
+    if chosen.fixed and (velocity.any() or angular_velocity.any()):
+        raise GranflowError(f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity.")
+    return ParticleData(
+        position=position,
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        radius=0.5 * _diameters(plan, chosen, diameter, count),
+        material=np.full(count, list(plan.solids).index(chosen.material), dtype=np.int32),
+        group=np.full(count, number, dtype=np.int32),
+    )
+
+
+def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
+    """Number of the group: given, or the first one of the material, or the only one."""
+    names, materials = [each.name for each in plan.groups], [each.material for each in plan.groups]
+    if material is not None:
+        named("material", material, list(dict.fromkeys(materials)))
+    if group is None and material is None and len(names) > 1:
+        raise GranflowError(f"group is missing: give one of {', '.join(names)}.")
+    if group is None:
+        return 0 if material is None else materials.index(material)
+    number = named("group", group, names)
+    if material not in (None, materials[number]):
+        raise GranflowError(f"material is {material!r}, but the group {group} is of {materials[number]}.")
+    return number
+
+
+def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.ndarray:
+    """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
+    low, high = group.diameters
+    if given is None and low < high:
+        raise GranflowError(
+            f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."
+        )
+    diameter = array_of("diameter", low if given is None else given, count, None)
+    smallest, largest = 2.0 * plan.radius_min, 2.0 * plan.radius_max
+    outside = (diameter < smallest) | (diameter > largest)
+    if outside.any():
+        raise GranflowError(
+            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time step and "
+            f"neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
+        )
+    return diameter

@@ -1,0 +1,261 @@
+"""The particles of a simulation, read and changed from Python while it runs."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.changes import present_indices, remove_particles, write_particles
+from granflow.engine.engine import Engine
+from granflow.errors import GranflowError
+from granflow.live.new_particles import particle_data
+from granflow.live.particle_array import ParticleArray
+from granflow.live.values import finite, in_domain, named
+from granflow.runs.run_state import RunState
+
+LARGER = 2
+"""Factor by which the capacity grows if there is no space for added particles."""
+
+
+class LiveParticles:
+    """The particles of a simulation; all arrays are ordered by id and have one entry per present particle.
+
+        simulation.particles.velocity[simulation.particles.group == "feed"] *= 0.5
+
+    Reading copies from the device, writing copies to it; see `ParticleArray`. No array is a view of device memory,
+    because particles are sorted by cell there. A change takes effect at once for later reads; neighbor lists and forces
+    are computed again before the next step or snapshot, once for all changes. The change of energy counts as
+    inserted energy. Writing raises GranflowError for values that are not valid.
+    """
+
+    def __init__(self, state: RunState) -> None:
+        self._state = state
+
+    @property
+    def _engine(self) -> Engine:
+        return self._state.engine
+
+    def __len__(self) -> int:
+        """Number of present particles."""
+        return len(present_indices(self._engine.state))
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} particles at {self._engine.time:.6g} s>"
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Assignment to a property writes all particles; the result of an in-place operator is already written."""
+        if name.startswith("_"):
+            super().__setattr__(name, value)
+        elif not isinstance(getattr(type(self), name, None), property):
+            raise AttributeError(f"particles has no property {name}.")
+        elif not (isinstance(value, ParticleArray) and value.is_of(self, name)):
+            getattr(self, name)[...] = value
+
+    @property
+    def id(self) -> ParticleArray:
+        """Ids (n,) int64, ascending; an id is never used again. Read-only."""
+        return ParticleArray(self, "id", lambda: self._field("id").astype(np.int64))
+
+    @property
+    def position(self) -> ParticleArray:
+        """Centers (n, 3) [m]; in a periodic box inside the box."""
+        return ParticleArray(self, "position", lambda: self._motion()[0], self._write_position)
+
+    @property
+    def velocity(self) -> ParticleArray:
+        """Velocities (n, 3) [m/s] at the time of the positions."""
+        return ParticleArray(self, "velocity", lambda: self._motion()[1], self._write_velocity)
+
+    @property
+    def angular_velocity(self) -> ParticleArray:
+        """Angular velocities (n, 3) [rad/s]; zero and read-only in a scene without friction and rolling friction."""
+        has_rotation = self._engine.plan.features.rotation
+        write = self._write_angular_velocity if has_rotation else None
+        return ParticleArray(self, "angular_velocity", self._angular_velocity, write)
+
+    @property
+    def diameter(self) -> ParticleArray:
+        """Diameters (n,) [m], between those of the scene; the mass follows from the density."""
+        return ParticleArray(self, "diameter", lambda: 2.0 * self._field("radius"), self._write_diameter)
+
+    @property
+    def mass(self) -> ParticleArray:
+        """Masses (n,) [kg]. Read-only: they follow from diameter and material."""
+        return ParticleArray(self, "mass", lambda: self._field("mass").astype(float))
+
+    @property
+    def force(self) -> ParticleArray:
+        """Total forces (n, 3) [N], weight included, at the present positions. Read-only."""
+        return ParticleArray(self, "force", self._force)
+
+    @property
+    def group(self) -> ParticleArray:
+        """Names (n,) of the groups; a new group must have the same material, and be as mobile or fixed."""
+        return ParticleArray(self, "group", lambda: self._names("group"), self._write_group)
+
+    @property
+    def material(self) -> ParticleArray:
+        """Names (n,) of the materials. Read-only: the material is that of the group."""
+        return ParticleArray(self, "material", lambda: self._names("material"))
+
+    def rows(self, ids: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Indices (k,) into the arrays of particles with these ids (k,). Raises GranflowError if one is absent.
+
+        simulation.particles.velocity[simulation.particles.rows([3, 7])] = 0.0
+        """
+        wanted, present = np.atleast_1d(np.asarray(ids)), np.asarray(self.id)
+        rows = np.searchsorted(present, wanted)
+        absent = wanted[(rows >= len(present)) | (present[np.minimum(rows, len(present) - 1)] != wanted)]
+        if len(absent):
+            raise GranflowError(f"particles.rows: no particle has the id {absent[0]}.")
+        return rows
+
+    def add(
+        self,
+        position: Any,
+        diameter: Any = None,
+        material: str | None = None,
+        velocity: Any = (0.0, 0.0, 0.0),
+        group: str | None = None,
+        angular_velocity: Any = (0.0, 0.0, 0.0),
+    ) -> np.ndarray:
+        """Add k particles and return their ids (k,).
+
+        position:          (k, 3) [m], or (3,) for one particle
+        diameter:          (k,) or a number [m], between those of the scene; default: that of the group
+        material:          name; default: that of the group
+        velocity:          (k, 3) or (3,) [m/s]
+        group:             name of a group of the scene; default: the first one with the material
+        angular_velocity:  (k, 3) or (3,) [rad/s]
+        Raises:            GranflowError for arguments that are not valid; no particle is added then
+
+        If there is no space for them, the arrays grow to twice their size, which may compile the kernels again.
+        """
+        engine = self._engine
+        new = particle_data(self._state.plan, position, diameter, material, velocity, group, angular_velocity)
+        engine.begin_change()
+        needed = engine.state.count + len(new) + self._state.insertion.remaining
+        if needed > self._state.plan.particle_capacity:
+            capacity = max(needed, LARGER * self._state.plan.particle_capacity)
+            self._state.plan = replace(self._state.plan, particle_capacity=capacity)
+            self._state.prepare()
+        first = self._engine.accounting.inserted_count
+        self._engine.insert(new)
+        return np.arange(first, first + len(new))
+
+    def remove(self, mask: Any) -> None:
+        """Remove the particles of a mask (n,), or of indices (k,) into the arrays; ids: see `rows`."""
+        engine = self._engine
+        indices = present_indices(engine.state)
+        try:
+            removed = indices[np.asarray(mask)]
+        except IndexError as error:
+            raise GranflowError(f"particles.remove: {error}, but there are {len(indices)} particles.") from None
+        if np.size(removed):
+            engine.begin_change()
+            removed = np.unique(removed)
+            engine.accounting.count_removed(self._masses(removed))
+            remove_particles(engine.state, removed)
+
+    def _masses(self, indices: np.ndarray) -> np.ndarray:
+        return self._engine.synchronized(("mass", "velocity", "force"))["mass"][indices]
+
+    def _field(self, name: str) -> np.ndarray:
+        """A particle field in the order of ids."""
+        state = self._engine.state
+        return self._engine.copied((name,))[name][present_indices(state)]
+
+    def _motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities (n, 3), float64, in the order of ids."""
+        engine = self._engine
+        arrays = engine.synchronized(("mass", "position", "velocity", "force"))
+        order = present_indices(engine.state)
+        position, velocity = (arrays[name][order].astype(float) for name in ("position", "velocity"))
+        return engine.plan.periodic_box.wrap_with_velocity(position, velocity, engine.time)
+
+    def _angular_velocity(self) -> np.ndarray:
+        """Angular velocities (n, 3), float64; zero without rotation."""
+        engine = self._engine
+        names = ("mass", "radius", "velocity", "force", "angular_velocity", "torque")
+        values = engine.synchronized(names).get("angular_velocity", np.zeros((engine.state.count, 3)))
+        return values[present_indices(engine.state)].astype(float)
+
+    def _force(self) -> np.ndarray:
+        """Forces (n, 3) at the present positions, of the forces that are present now."""
+        self._state.prepare()
+        if self._engine.is_changed and self._state.progress.stage_times:
+            self._engine.refresh()
+        return self._field("force").astype(float)
+
+    def _names(self, kind: str) -> np.ndarray:
+        """Names (n,) of the groups or materials."""
+        plan = self._engine.plan
+        names = [group.name for group in plan.groups] if kind == "group" else list(plan.solids)
+        return np.array(names)[self._engine.accounting.by_id(kind, self._field("id"))]
+
+    def _write(self, name: str, values: np.ndarray, **others: np.ndarray) -> None:
+        """Write the entries of a field that differ from the present ones, and other fields with it."""
+        engine = self._engine
+        engine.begin_change()
+        present = np.asarray(getattr(self, name if name != "radius" else "diameter"))
+        compared = values if name != "radius" else 2.0 * values
+        rows = np.flatnonzero((present != compared).reshape(len(present), -1).any(axis=1))
+        arrays = {name: values, **others}
+        write_particles(
+            engine.state, present_indices(engine.state)[rows], {key: array[rows] for key, array in arrays.items()}
+        )
+
+    def _write_position(self, values: np.ndarray) -> None:
+        in_domain(self._engine.plan, "particles.position", finite("particles.position", values))
+        self._write("position", values)
+
+    def _write_velocity(self, values: np.ndarray) -> None:
+        self._refuse_motion("velocity", finite("particles.velocity", values))
+        self._write("velocity", values)
+
+    def _write_angular_velocity(self, values: np.ndarray) -> None:
+        self._refuse_motion("angular_velocity", finite("particles.angular_velocity", values))
+        self._write("angular_velocity", values)
+
+    def _refuse_motion(self, name: str, values: np.ndarray) -> None:
+        """Raise GranflowError if a fixed particle would move."""
+        fixed = self._is_fixed(self._numbers("group"))
+        if np.any(values[fixed] != 0.0):
+            raise GranflowError(f"particles.{name}: particles of a fixed group cannot move; write 0 for them.")
+
+    def _write_diameter(self, values: np.ndarray) -> None:
+        plan = self._engine.plan
+        finite("particles.diameter", values)
+        if len(values) and not (2.0 * plan.radius_min <= values.min() and values.max() <= 2.0 * plan.radius_max):
+            raise GranflowError(
+                f"particles.diameter would lie in [{values.min():.6g}, {values.max():.6g}] m, but the diameters of the "
+                f"scene, on which time step and neighbor lists depend, in [{2 * plan.radius_min:.6g}, "
+                f"{2 * plan.radius_max:.6g}] m."
+            )
+        density = np.array([solid.density for solid in plan.solids.values()])[self._numbers("material")]
+        radius = 0.5 * values
+        self._write("radius", radius, mass=4.0 / 3.0 * pi * radius**3 * density)
+
+    def _write_group(self, values: np.ndarray) -> None:
+        """Change the groups in the accounting; forces do not depend on them."""
+        groups = self._engine.plan.groups
+        names = [group.name for group in groups]
+        numbers = np.array([named("particles.group", str(name), names) for name in values], dtype=np.int32)
+        materials = np.array([list(self._engine.plan.solids).index(group.material) for group in groups])
+        if np.any(materials[numbers] != self._numbers("material")) or np.any(
+            self._is_fixed(numbers) != self._is_fixed(self._numbers("group"))
+        ):
+            raise GranflowError(
+                "particles.group: the new group must have the same material, and be as mobile or fixed."
+            )
+        self._engine.accounting.set_group(self._field("id"), numbers)
+
+    def _numbers(self, kind: str) -> np.ndarray:
+        """Numbers (n,) of the groups or materials in the scene."""
+        return self._engine.accounting.by_id(kind, self._field("id"))
+
+    def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
+        """Whether each group number (n,) is that of a fixed group."""
+        return np.array([group.fixed for group in self._engine.plan.groups])[groups]

@@ -1,0 +1,97 @@
+"""The walls of a simulation, changed from Python while it runs."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from granflow.engine.snapshots import wall_poses
+from granflow.errors import GranflowError
+from granflow.plan.wall_changes import wall_named, with_motions, without_wall
+from granflow.plan.walls import planned_motions, wall_motions
+from granflow.runs.run_state import RunState
+from granflow.scene.schema.motions import Rotation, Translation, Vibration
+from granflow.snapshot import WallPose
+
+KINDS = Rotation | Translation | Vibration
+"""Motions that can be assigned."""
+
+
+class LiveWall:
+    """One wall of a simulation; changes take effect with the next step."""
+
+    def __init__(self, state: RunState, name: str) -> None:
+        self._state, self.name = state, name
+
+    def __repr__(self) -> str:
+        return f"<wall {self.name}, {'present' if self.is_present else 'not present'}>"
+
+    @property
+    def is_present(self) -> bool:
+        """Whether the wall is present in the next step."""
+        engine = self._state.engine
+        middle = engine.time + 0.5 * engine.time_step
+        return wall_named(self._state.plan, self.name).is_present(self._state.progress.stage, middle)
+
+    @property
+    def pose(self) -> WallPose:
+        """Present pose of the wall; `pose.moved(points)` are the present positions of points (n, 3) [m] at rest."""
+        return wall_poses(self._state.engine.state)[self.name]
+
+    def remove(self) -> None:
+        """Remove the wall at the present time. The energy of its contacts counts as removed."""
+        self._state.change_walls(without_wall(self._state.plan, self.name, self._state.engine.time))
+
+    @property
+    def motion(self) -> tuple[Any, ...]:
+        """Motions of the wall; assign a motion, a list of them, or None to stop the wall.
+
+            simulation.walls["drum"].motion = granflow.Rotation(
+                point=[0, 0, 0], axis=[0, 1, 0], angular_velocity="30 rpm"
+            )
+
+        A motion begins at the present time, unless it has a later `start`, and from the present pose; points and
+        directions are those in space. The first motion of a scene in which no wall moves compiles the kernels again.
+        Raises GranflowError for a force-controlled wall, or a motion that is too fast for the time step.
+        """
+        return tuple(each.given for each in wall_named(self._state.plan, self.name).motions)
+
+    @motion.setter
+    def motion(self, given: KINDS | Sequence[KINDS] | None) -> None:
+        state, time = self._state, self._state.engine.time
+        motions = [] if given is None else [given] if isinstance(given, KINDS) else list(given)
+        for each in motions:
+            if not isinstance(each, KINDS):
+                raise GranflowError(
+                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, Vibration, a list "
+                    "of them, or None."
+                )
+            if each.stages is not None:
+                raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
+        wall = wall_named(state.plan, self.name)
+        (present,) = wall_motions([wall.motions], state.progress.stage_times)
+        planned = [each.given for each in planned_motions(motions, state.plan.gravity)]
+        begun = [replace(each, start=max(each.start, time)) for each in planned]
+        state.change_walls(with_motions(state.plan, self.name, begun, time, present))
+
+
+class LiveWalls(Mapping[str, LiveWall]):
+    """The walls of a simulation by name.
+
+    simulation.walls["gate"].remove()
+    """
+
+    def __init__(self, state: RunState) -> None:
+        self._state = state
+
+    def __getitem__(self, name: str) -> LiveWall:
+        """The wall with this name. Raises GranflowError for an unknown one."""
+        return LiveWall(self._state, wall_named(self._state.plan, name).name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter([wall.name for wall in self._state.plan.walls])
+
+    def __len__(self) -> int:
+        return len(self._state.plan.walls)
+
+    def __repr__(self) -> str:
+        return repr(list(self.values()))

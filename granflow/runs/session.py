@@ -1,0 +1,110 @@
+"""The files of a run in parts: opened at the first step, closed at the end or by an exception."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+
+from granflow.errors import FunctionError, GranflowError, StopRun
+from granflow.io.checkpoint import Checkpoint
+from granflow.observers.base import TOTALS
+from granflow.runs.result import Result
+from granflow.runs.run_directory import RunDirectory
+from granflow.runs.time_loop import TimeLoop
+from granflow.runs.timings import log_plan
+
+
+class RunSession:
+    """Opens the files of a run before its first step and keeps them open between its parts.
+
+    `loop`: of the run; `files`: its directory; `resumed`: checkpoint from which it continues, or None. `warnings`:
+    sentences on the scene, for the log. `is_open`: whether the files are open.
+    """
+
+    def __init__(
+        self, loop: TimeLoop, files: RunDirectory, resumed: Checkpoint | None, warnings: Callable[[], Sequence[str]]
+    ) -> None:
+        self._loop, self._state, self._files = loop, loop.state, files
+        self._resumed, self._warnings = resumed, warnings
+        self._open, self.is_open, self._has_ended = ExitStack(), False, False
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """In the block, the files are open, warnings and log are recorded, and the wall clock runs.
+
+        The files remain open for the next block, unless an exception ends it.
+        """
+        with self._guarding():
+            is_first = not self.is_open
+            self._open_files()
+            with self._files.recording(), self._state.wall_clock.running():
+                if is_first and self._files.path is not None:
+                    log_plan(self._state.plan, self._loop.engine, self._resumed, self._warnings())
+                yield
+
+    @contextmanager
+    def _guarding(self) -> Iterator[None]:
+        """Close the files if an exception ends the block, for some exceptions after a checkpoint."""
+        try:
+            yield
+        except FunctionError as error:
+            failure = self._saved(error)
+            self._abandon()
+            raise failure from error.__cause__
+        except OSError as error:
+            save = self._loop.save if self._state.progress.target is not None else None
+            output_error = self._files.output_error(error, self._loop.engine.time, save)
+            self._abandon()
+            raise output_error from error
+        except BaseException:
+            self._abandon()
+            raise
+
+    def _open_files(self) -> None:
+        """Open the files at the first step. Raises GranflowError if they are finished."""
+        if self.is_open:
+            return
+        if self._has_ended and self._files.path is not None:
+            raise GranflowError(
+                f"The files in {self._files.path} are finished: put all runs of the simulation into one with block, or "
+                "resume from the last checkpoint."
+            )
+        self.is_open = True
+        self._open.enter_context(self._files.open(self._state.observers.checkpointed().values()))
+        self._open.callback(self._state.observers.finish)
+        self._files.start_schedule(self._loop.engine.time)
+
+    def _saved(self, error: FunctionError) -> FunctionError:
+        """The error with a sentence on the checkpoint, which is written here if the run has begun."""
+        if self._files.path is None or not self._state.progress.stage_times:
+            return error
+        self._loop.save()
+        return FunctionError(f"{error}. The state at this time is saved in {self._files.path}.")
+
+    def _abandon(self) -> None:
+        """During the handling of an exception, close the files as they are."""
+        if self.is_open:
+            self.is_open, self._has_ended = False, True
+            self._open.__exit__(*sys.exc_info())
+
+    def abandon(self) -> None:
+        """During the handling of an exception of a script, write a checkpoint if possible and close the files."""
+        with suppress(Exception):
+            if self.is_open and self._state.progress.stage_times:
+                self._loop.save()
+        self._abandon()
+
+    def close(self, result: Callable[[], Result]) -> Result:
+        """Pass the last snapshot to all observers, write checkpoint and result, and close the files.
+
+        `result`: returns the numbers of the run after the last snapshot.
+        """
+        with self.running():
+            self._loop.save()
+            with suppress(StopRun):
+                self._loop.notify_all(frozenset({TOTALS}))
+            self._files.writer.wait()
+            written = self._files.write(result())
+        with self._guarding():
+            self.is_open, self._has_ended = False, True
+            self._open.close()
+        return written

@@ -1,0 +1,193 @@
+"""The time loop: advances to the next event, handles it, and repeats."""
+
+import logging
+from collections.abc import Callable
+from functools import partial
+from math import inf, isfinite
+
+from granflow.engine.engine import Engine
+from granflow.engine.limits import abort_message
+from granflow.errors import RunError, StopRun
+from granflow.observers.base import TOTALS
+from granflow.plan.scene_parts import PlannedStage
+from granflow.runs.run_directory import RunDirectory
+from granflow.runs.run_state import RunState
+from granflow.runs.stage_progress import REST_CHECKS
+from granflow.runs.step_batches import StepBatches
+
+
+class TimeLoop:
+    """Advances a run through its stages and, on request, beyond the last one, whose walls and observers remain.
+
+    `state`: of the run; `files`: its output directory. `stop_requested`: exception that ends the run after the present
+    batch of steps, or None.
+    """
+
+    def __init__(self, state: RunState, files: RunDirectory) -> None:
+        self.state, self.files = state, files
+        self.stop_requested: BaseException | None = None
+        self._batches = StepBatches()
+
+    @property
+    def engine(self) -> Engine:
+        """The present engine; changes of the compiled features replace it."""
+        return self.state.engine
+
+    @property
+    def stages_ended(self) -> bool:
+        """Whether the last stage has ended."""
+        return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
+
+    def run(self, end: float, within_stages: bool = False) -> None:
+        """Run the stages that have not ended, to their ends or to `end` [s].
+
+        A finite `end` after that of the last stage is reached too, unless `within_stages`.
+
+        Raises StopRun if an observer ends the run, RunError on an abort.
+        """
+        for stage in self.engine.plan.stages:
+            if self.engine.time < end and not self.state.progress.has_ended(stage.name):
+                self._run_stage(stage, end)
+        if self.stages_ended and isfinite(end) and not within_stages:
+            while self.state.progress.target is not None or not self.engine.reached(end):
+                self._advance_to(min(end, self._next_event()))
+
+    def _run_stage(self, stage: PlannedStage, end: float) -> None:
+        """Run a stage to its end, or to `end` [s].
+
+        The stage ends after its longest duration, or, with `kinetic_energy_below`, at the first check at which the
+        particles are at rest; REST_CHECKS checks are distributed evenly. A resumed stage continues at its target.
+        """
+        progress = self.state.progress
+        if stage.name not in progress.stage_times:
+            self._begin_stage(stage, stage.longest / REST_CHECKS)
+        stop = progress.stage_times[stage.name][0] + stage.longest
+        while progress.target is not None or not self.engine.reached(min(stop, end)):
+            next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
+            self._advance_to(min(stop, end, next_check, self._next_event()))
+            if self.engine.reached(next_check):
+                progress.next_check += stage.longest / REST_CHECKS
+                if self._at_rest(stage):
+                    break
+        else:
+            if not self.engine.reached(stop):
+                return
+        progress.end(self.engine.time)
+
+    def _at_rest(self, stage: PlannedStage) -> bool:
+        """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
+        limit = stage.kinetic_energy_below
+        return limit is not None and self.engine.mean_kinetic_energy() < limit and self.state.insertion.is_done
+
+    def _begin_stage(self, stage: PlannedStage, check_interval: float) -> None:
+        """Begin a stage: place its walls, insert due particles, compute the forces.
+
+        At the first stage, notify all observers; the run has then begun.
+        """
+        progress, first = self.state.progress, not self.state.progress.stage_times
+        logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
+        self.state.prepare()
+        progress.begin(stage.name, self.engine.time, check_interval)
+        progress.set_walls(self.engine)
+        self.state.insertion.insert_due(self.engine)
+        self.engine.refresh()
+        self._abort_if_diagnosed()
+        if first:
+            try:
+                self._notify(self.state.observers.notify_all)
+            except StopRun:
+                self.files.began()
+                raise
+            self.files.began()
+
+    def _notify(self, notify: Callable[..., object], *arguments: object) -> None:
+        """Call a method of the observer list with a function that takes the snapshot; its time counts as output."""
+        with self.state.wall_clock.measuring_output():
+            notify(*arguments, partial(self.engine.observe, self.state.progress.stage))
+
+    def _next_event(self) -> float:
+        """Return the simulated time [s] of the next observation, insertion or wall change."""
+        changes = [time for time in self.state.progress.changes if not self.engine.reached(time)]
+        return min([self.state.observers.next_time(), self.state.insertion.next_time(), *changes])
+
+    def _advance_to(self, time: float) -> None:
+        """Advance to `time` [s], handle insertion and wall changes there, and notify the observers that are due.
+
+        The target is at least one step ahead, so that the run always advances. A resumed run continues to its saved
+        target.
+        """
+        progress = self.state.progress
+        if progress.target is None:
+            progress.set_target(max(time, self.engine.time + self.engine.time_step))
+        assert progress.target is not None
+        self._advance(progress.target)
+        if not progress.arrived:
+            inserted = self.state.insertion.insert_due(self.engine)
+            if progress.remove_past_changes(self.engine) or inserted:
+                progress.set_walls(self.engine)
+                self.engine.refresh()
+            progress.arrived = True
+        try:
+            self._notify(self.state.observers.notify_due, self.engine.reached)
+        except StopRun:
+            progress.target = None
+            raise
+        progress.target = None
+
+    def _advance(self, target: float) -> None:
+        """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.
+
+        Raises RunError if the run exceeds a limit.
+        """
+        self.prepare()
+        while (steps := self.engine.steps_to(target)) > 0:
+            if isfinite(self.files.next_checkpoint):
+                steps = min(steps, max(self.engine.steps_to(self.files.next_checkpoint), 1))
+            self._batches.advance(self.engine, steps)
+            self._abort_if_diagnosed()
+            self._handle_requests()
+
+    def prepare(self) -> None:
+        """Apply the changes from Python: compile new features, rebuild neighbor lists, compute forces.
+
+        Raises RunError if the changed state exceeds a limit.
+        """
+        self.state.prepare()
+        if self.engine.is_changed and self.state.progress.stage_times:
+            self.engine.refresh()
+            self._abort_if_diagnosed()
+
+    def _handle_requests(self) -> None:
+        """Stop if requested, after a checkpoint; write a checkpoint if due."""
+        if self.stop_requested is not None:
+            self.save()
+            raise self.stop_requested
+        with self.state.wall_clock.measuring_output():
+            self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
+
+    def save(self) -> None:
+        """Write a checkpoint with the changes from Python; nothing without an output directory."""
+        self.prepare()
+        with self.state.wall_clock.measuring_output():
+            self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)
+
+    def _abort_if_diagnosed(self) -> None:
+        """After an abort, write the state if all its numbers are finite, and raise RunError with the diagnosis."""
+        diagnosis = self.engine.diagnosis
+        if diagnosis is None:
+            return
+        message = abort_message(diagnosis, self.engine.plan, self.engine.time)
+        take = partial(self.engine.observe, self.state.progress.stage)
+        with self.state.wall_clock.measuring_output():
+            written = self.state.observers.notify_all(take, frozenset({TOTALS}), only_finite=True).is_finite
+        raise RunError(message + self.files.note_on_state(written))
+
+    def notify_all(self, quantities: frozenset[str]) -> None:
+        """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""
+        with self.state.wall_clock.measuring_output():
+            self.state.observers.notify_all(partial(self.engine.observe, self.state.progress.stage), quantities)
+
+    def log_end(self) -> None:
+        """Log the simulated time and the number of steps."""
+        engine = self.engine
+        logging.getLogger("granflow").info("done at %.6g s after %d steps", engine.time, engine.step_count)

@@ -1,0 +1,124 @@
+"""Changes from Python in checkpoints: a resumed run equals an uninterrupted one."""
+
+import shutil
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+
+import granflow as gf
+from granflow.io.checkpoint import newest_checkpoint
+
+OUTPUT = {"interval": 2e-3, "timeseries_interval": 1e-3, "energy_budget": True}
+
+
+def scene():
+    """Particles above a floor, and a gate."""
+    walls = {
+        "floor": plane([0.0] * 3, [0.0, 0.0, 1.0]),
+        "gate": plane([0.3, 0.0, 0.0], [-1.0, 0.0, 0.0]),
+    }
+    groups = {"balls": particle_group([[0.02 * k, 0.0, 0.0055] for k in range(3)], velocity=[0.0, 0.0, -0.1])}
+    parts = {"gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3}, "run": {"duration": 0.01}, "output": OUTPUT}
+    return build_scene(groups, walls=walls, **parts)
+
+
+def drag(position, velocity, radius, mass, time, parameters):
+    return -parameters.coefficient * velocity
+
+
+def force():
+    return gf.ParticleForce(drag, {"coefficient": 1e-3})
+
+
+def change(simulation):
+    """Changes of everything that a checkpoint contains."""
+    simulation.run(until=2e-3)
+    simulation.particles.velocity[0] = [0.1, 0.0, 0.0]
+    simulation.particles.add([[0.1, 0.0, 0.05]], diameter=0.01)
+    simulation.particles.remove([1])
+    simulation.walls["gate"].remove()
+    simulation.walls["floor"].motion = gf.Translation(velocity=[0.0, 0.0, 0.02])
+    simulation.forces[0].parameters["coefficient"] = 5e-3
+    simulation.observers.remove(simulation.observers[1])
+    simulation.run(until=4e-3)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, taichi_f64):
+    """Directories of an uninterrupted run and of one that ended at 4 ms."""
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("whole", "part"):
+        with gf.Simulation(scene(), out=folder / name, forces=[force()]) as simulation:
+            change(simulation)
+            if name == "whole":
+                simulation.run()
+    return folder
+
+
+def test_resumed_run_equals_the_uninterrupted_one(runs, tmp_path):
+    out = tmp_path / "part"
+    shutil.copytree(runs / "part", out)
+    checkpoint, _ = newest_checkpoint(out)
+    with gf.Simulation(scene(), out=out, resume=checkpoint, forces=[force()]) as simulation:
+        assert not simulation.walls["gate"].is_present and simulation.forces[0].parameters["coefficient"] == 5e-3
+        np.testing.assert_array_equal(simulation.particles.id, [0, 2, 3])
+        simulation.run()
+    (last, _), (expected, _) = newest_checkpoint(out), newest_checkpoint(runs / "whole")
+    for name, values in expected.saved["engine"]["particles"].items():
+        np.testing.assert_array_equal(last.saved["engine"]["particles"][name], values)
+    assert last.saved["changes"] == expected.saved["changes"]
+    assert (out / "timeseries.csv").read_bytes() == (runs / "whole" / "timeseries.csv").read_bytes()
+    assert not list(out.glob("particles_*2.vtu")), "the removed observer writes no more frames"
+
+
+def other(position, velocity, radius, mass, time, parameters):
+    return 0.0 * velocity
+
+
+@pytest.mark.parametrize(
+    ("forces", "message"),
+    [
+        ([], "forces from Python that this program does not register: drag"),
+        ([gf.ParticleForce(drag, {"coefficient": 1.0}), gf.ParticleForce(other)], "the run has no force other"),
+        ([gf.ParticleForce(drag, {"coefficient": 1.0, "more": 1.0})], "has the keys coefficient, but must have coeff"),
+    ],
+)
+def test_functions_must_be_registered_again(runs, forces, message):
+    checkpoint, _ = newest_checkpoint(runs / "part")
+    with pytest.raises(gf.GranflowError, match=message) as error:
+        gf.Simulation(scene(), resume=checkpoint, forces=forces)
+    assert "\n" not in str(error.value)
+
+
+def test_run_continues_without_its_forces_if_that_is_allowed(runs):
+    checkpoint, _ = newest_checkpoint(runs / "part")
+    with gf.Simulation(scene(), resume=checkpoint, allow_changes=True) as simulation:
+        simulation.run(duration=1e-3)
+        assert "external_work" in simulation.snapshot().totals
+
+
+def tampered(checkpoint, key, value):
+    """The checkpoint with another value of a change."""
+    changes = checkpoint.saved["changes"] | {key: value}
+    return type(checkpoint)(**vars(checkpoint) | {"saved": checkpoint.saved | {"changes": changes}})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("particle_capacity", -1),
+        ("particle_capacity", 2**40),
+        ("walls", {"flor": {"vanishes_at": 0.0, "motions": None}}),
+        ("walls", {"gate": {"vanishes_at": "soon", "motions": None}}),
+        ("walls", {"gate": {"vanishes_at": 1.0, "motions": [{"kind": "Leap"}]}}),
+        ("walls", {"gate": {"vanishes_at": 1.0, "motions": [{"kind": "Translation", "velocity": 1.0, "start": 0.0}]}}),
+        ("external_forces", "yes"),
+        ("functions", [1]),
+        ("removed_observers", "all"),
+    ],
+)
+def test_changes_that_are_not_valid_are_refused(runs, key, value):
+    checkpoint, _ = newest_checkpoint(runs / "part")
+    with pytest.raises(gf.GranflowError, match=f"changes/{key}"):
+        gf.Simulation(scene(), resume=tampered(checkpoint, key, value), forces=[force()])

@@ -1,0 +1,178 @@
+"""Particles that are read and changed from Python while the simulation runs."""
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+
+import granflow as gf
+
+GRAVITY = 9.81
+START = [[0.0, 0.0, 0.1], [0.05, 0.0, 0.1], [0.1, 0.0, 0.1]]
+
+
+def free_particles(**more):
+    """Three particles of two groups in gravity, and a group of two sizes; friction, so that particles rotate."""
+    groups = {
+        "feed": particle_group(START[:2]),
+        "rest": particle_group(START[2:]),
+        "other": particle_group([[0.3, 0.3, 0.3]], material="steel", diameter=0.02),
+    }
+    parts = {"gravity": [0.0, 0.0, -GRAVITY], "pair": {"friction": 0.3}, "run": {"duration": 0.1}}
+    return build_scene(groups, **parts | {"output": {"interval": 0.1, "energy_budget": True}} | more)
+
+
+@pytest.fixture
+def simulation(taichi_f64):
+    with gf.Simulation(free_particles()) as simulation:
+        yield simulation
+
+
+def test_arrays_are_ordered_by_id_and_copies(simulation):
+    particles = simulation.particles
+    simulation.run(until=1e-3)
+    np.testing.assert_array_equal(particles.id, [0, 1, 2, 3])
+    np.testing.assert_array_equal(particles.group, ["feed", "feed", "rest", "other"])
+    np.testing.assert_array_equal(particles.material == "glass", [True, True, True, False])
+    np.testing.assert_allclose(particles.diameter, [0.01, 0.01, 0.01, 0.02])
+    np.testing.assert_allclose(particles.force[:, 2], -GRAVITY * particles.mass)
+    snapshot = simulation.snapshot()
+    for name in ("position", "velocity", "angular_velocity", "mass"):
+        np.testing.assert_array_equal(getattr(particles, name), snapshot.particles[name])
+    particles.velocity[:][0] = 7.0
+    assert np.abs(particles.velocity).max() < 1.0
+
+
+def test_velocities_written_before_the_start_and_during_the_run_give_the_parabola(simulation):
+    """x(t) = x0 + v0 t - g t^2 / 2, which the leapfrog scheme integrates exactly."""
+    particles = simulation.particles
+    particles.velocity[particles.group == "feed"] = [1.0, 0.0, 0.0]
+    simulation.run(until=0.01)
+    time = simulation.time
+    np.testing.assert_allclose(particles.velocity[0], [1.0, 0.0, -GRAVITY * time], rtol=1e-9)
+    particles.velocity[particles.group == "feed"] *= 0.5
+    particles.velocity[particles.rows([2]), 1] = 2.0
+    changed_at = particles.position[0]
+    simulation.run(duration=0.01)
+    later = simulation.time - time
+    expected = changed_at + np.array([0.5, 0.0, -0.5 * GRAVITY * time]) * later - [0.0, 0.0, 0.5 * GRAVITY * later**2]
+    np.testing.assert_allclose(particles.position[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(particles.position[2][1], 2.0 * later, rtol=1e-9)
+
+
+def test_budget_closes_with_all_changes(simulation):
+    particles = simulation.particles
+    simulation.run(until=2e-3)
+    particles.velocity *= 3.0
+    particles.position[0] += [0.0, 0.0, 0.05]
+    particles.angular_velocity[1] = [10.0, 0.0, 0.0]
+    particles.diameter[:] = 0.011
+    particles.add([[0.2, 0.0, 0.0]], diameter=0.012, material="glass", velocity=[0.0, 0.0, 1.0])
+    particles.remove([2])
+    before = particles.id[:]
+    simulation.run(duration=2e-3)
+    totals = simulation.snapshot().totals
+    assert abs(totals["energy_error"]) < 1e-9 and totals["particle_count"] == 4
+    assert totals["inserted_count"] == 5 and totals["deleted_count"] == 1
+    np.testing.assert_array_equal(before, [0, 1, 3, 4])
+    energies = totals["kinetic_energy"] + totals["rotational_energy"] + totals["gravitational_energy"]
+    assert energies == pytest.approx(-totals["removed_energy"], rel=1e-9)
+
+
+def resting(count=1):
+    """Particles at rest on a floor, with friction."""
+    groups = {"balls": particle_group([[0.02 * k, 0.0, 0.005 - 1e-6] for k in range(count)])}
+    walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
+    return build_scene(groups, walls=walls, gravity=[0.0, 0.0, -GRAVITY], pair={"friction": 0.5})
+
+
+def test_lists_and_forces_follow_a_particle_that_is_moved_away_and_back(taichi_f64):
+    with gf.Simulation(resting(2)) as simulation:
+        simulation.run(until=1e-3)
+        assert simulation.snapshot().totals["contact_count"] == 2
+        simulation.particles.position[0] += [0.0, 0.0, 0.3]
+        np.testing.assert_allclose(simulation.particles.force[0], [0.0, 0.0, -GRAVITY * simulation.particles.mass[0]])
+        assert simulation.snapshot().totals["contact_count"] == 1
+        simulation.particles.position[0] = simulation.particles.position[1] + [0.0, 0.00999, 0.0]
+        simulation.step()
+        assert simulation.snapshot().totals["contact_count"] == 3
+
+
+def test_an_overlap_written_by_the_user_stores_its_energy_in_the_budget(taichi_f64):
+    balls = {"balls": particle_group([[0.0] * 3, [0.1, 0.0, 0.0]])}
+    scene = build_scene(balls, output={"interval": 1, "energy_budget": True})
+    with gf.Simulation(scene) as simulation:
+        simulation.step(5)
+        simulation.particles.position[1] = [0.0099, 0.0, 0.0]
+        totals = simulation.snapshot().totals
+        energy = totals["elastic_energy"] + totals["plastic_dissipation"]
+        assert -totals["removed_energy"] == pytest.approx(energy, rel=1e-9) and energy > 0.0
+        simulation.run(duration=2e-3)
+        totals = simulation.snapshot().totals
+        assert totals["contact_count"] == 0 and totals["kinetic_energy"] > 0.0
+        assert abs(totals["energy_error"]) < 5e-3
+
+
+def test_added_particles_exceed_the_capacity_and_collide(taichi_f64):
+    """More particles than the arrays hold: the arrays grow, and particles and contacts remain."""
+    with gf.Simulation(resting()) as simulation:
+        simulation.run(until=1e-3)
+        before = simulation.particles.position[0]
+        grid = np.stack(np.meshgrid(np.arange(1, 50), np.arange(50), [0.005 - 1e-6], indexing="ij"), -1).reshape(-1, 3)
+        ids = simulation.particles.add(grid * [0.0101, 0.0101, 1.0] - [0.0, 0.3, 0.0], diameter=0.01)
+        np.testing.assert_array_equal(ids, np.arange(1, 2451))
+        np.testing.assert_array_equal(simulation.particles.position[0], before)
+        simulation.run(duration=1e-4)
+        totals = simulation.snapshot().totals
+        assert totals["particle_count"] == totals["wall_contact_count"] == 2451
+
+
+def test_removal_of_all_particles_and_of_a_contact(taichi_f64):
+    with gf.Simulation(resting(3)) as simulation:
+        simulation.particles.remove(np.array([True, False, False]))
+        assert len(simulation.particles) == 2
+        simulation.run(until=1e-3)
+        simulation.particles.remove(simulation.particles.rows([1]))
+        np.testing.assert_array_equal(simulation.particles.id, [2])
+        simulation.step(3)
+        assert simulation.snapshot().totals["wall_contact_count"] == 1
+        simulation.particles.remove([0])
+        simulation.step(3)
+        assert len(simulation.particles) == simulation.snapshot().totals["particle_count"] == 0
+
+
+WRONG = {
+    "velocity has the shape (4, 3) and cannot be written": lambda p: p.velocity.__setitem__(slice(None), [[1.0, 2.0]]),
+    "velocity contains nan; all values must be finite": lambda p: p.velocity.__setitem__(0, np.nan),
+    "outside the domain from [-1.0, -1.0, -1.0] to": lambda p: p.position.__setitem__(0, [0.0, 0.0, 2.0]),
+    "particles.mass is read-only": lambda p: p.mass.__setitem__(0, 1.0),
+    "particles.diameter would lie in [0.01, 0.05] m": lambda p: p.diameter.__setitem__(1, 0.05),
+    "particles.group is 'food', but must be one of feed, rest, other": lambda p: p.group.__setitem__(0, "food"),
+    "the new group must have the same material": lambda p: p.group.__setitem__(0, "other"),
+    "no particle has the id 9": lambda p: p.rows([0, 9]),
+    "material is 'brass', but must be one of glass, steel": lambda p: p.add([0, 0, 0], material="brass"),
+    "material is 'steel', but the group feed is of glass": lambda p: p.add([0, 0, 0], material="steel", group="feed"),
+    "group is missing: give one of feed, rest, other": lambda p: p.add([0, 0, 0]),
+    "position has the shape (2, 2)": lambda p: p.add([[0, 0], [0, 1]], group="feed"),
+    "velocity has the shape (2, 3)": lambda p: p.add([0, 0, 0], group="feed", velocity=np.zeros((2, 3))),
+    "position contains nan": lambda p: p.add([0, 0, np.nan], group="feed"),
+    "position contains [0.0, 0.0, 3.0] m, which is outside": lambda p: p.add([0, 0, 3], group="feed"),
+    "diameter contains 0.5 m, but the diameters of the scene": lambda p: p.add([0, 0, 0], diameter=0.5, group="feed"),
+    "particles.remove: ": lambda p: p.remove([7]),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_invalid_changes_are_refused_in_one_sentence(simulation, message):
+    position, velocity = simulation.particles.position[:], simulation.particles.velocity[:]
+    with pytest.raises(gf.GranflowError) as error:
+        WRONG[message](simulation.particles)
+    assert message in str(error.value) and "\n" not in str(error.value)
+    np.testing.assert_array_equal(simulation.particles.position, position)
+    np.testing.assert_array_equal(simulation.particles.velocity, velocity)
+
+
+def test_groups_are_changed_and_unknown_properties_refused(simulation):
+    simulation.particles.group[0] = "rest"
+    np.testing.assert_array_equal(simulation.particles.group, ["rest", "feed", "rest", "other"])
+    with pytest.raises(AttributeError, match="no property speed"):
+        simulation.particles.speed = 1.0

@@ -1,0 +1,75 @@
+"""Runs in parts: steps, times, durations, and the files of a simulation in a with block."""
+
+import csv
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+
+import granflow as gf
+
+OUTPUT = {"interval": 1e-3, "timeseries_interval": 5e-4, "energy_budget": True}
+
+
+def falling(**more):
+    """Two particles above a floor, one of which hits it within 2 ms."""
+    groups = {"balls": particle_group([[0.0, 0.0, 0.0055], [0.02, 0.0, 0.02]], velocity=[0.0, 0.0, -1.0])}
+    walls = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}
+    return build_scene(groups, walls=walls, **{"run": {"duration": 2e-3}, "output": OUTPUT} | more)
+
+
+def files_of(folder):
+    """Contents of the frames and of the time series."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in (".vtu", ".pvd", ".csv")}
+
+
+def test_run_in_parts_writes_the_files_of_one_run(tmp_path, taichi_f64):
+    with gf.Simulation(falling(), out=tmp_path / "parts") as simulation:
+        simulation.step(7)
+        simulation.run(until=0.7e-3)
+        simulation.run(duration=0.5e-3)
+        simulation.run()
+    whole = gf.Simulation(falling(), out=tmp_path / "whole")
+    whole.run()
+    whole.free()
+    first, second = files_of(tmp_path / "parts"), files_of(tmp_path / "whole")
+    assert first == second and "particles.pvd" in first and len(first) > 4
+    assert (tmp_path / "parts" / "result.json").exists()
+
+
+def test_run_continues_beyond_the_last_stage(taichi_f64):
+    times = []
+    with gf.Simulation(falling(), observers=[gf.on_interval("1 ms", lambda s: times.append(s.time))]) as simulation:
+        simulation.run()
+        simulation.run(duration=1e-3)
+        assert simulation.time == pytest.approx(3e-3, abs=2 * simulation.time_step)
+    np.testing.assert_allclose(times, [0.0, 1e-3, 2e-3, 3e-3], atol=2e-5)
+
+
+def test_run_within_the_stages_ends_with_the_last_one(taichi_f64):
+    with gf.Simulation(falling()) as simulation:
+        simulation.run(until=5e-3, within_stages=True)
+        assert simulation.time == pytest.approx(2e-3, abs=2 * simulation.time_step)
+
+
+def test_a_finished_simulation_writes_no_more_files(tmp_path, taichi_f64):
+    simulation = gf.Simulation(falling(), out=tmp_path / "out")
+    simulation.run()
+    with pytest.raises(gf.GranflowError, match="are finished: put all runs"):
+        simulation.run(duration=1e-3)
+    simulation.free()
+
+
+def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
+    with pytest.raises(ZeroDivisionError), gf.Simulation(falling(), out=tmp_path / "out") as simulation:
+        simulation.run(until=1e-3)
+        raise ZeroDivisionError
+    assert list((tmp_path / "out").glob("checkpoint_*.npz"))
+    with (tmp_path / "out" / "timeseries.csv").open() as file:
+        assert len(list(csv.reader(file))) == 4
+
+
+@pytest.mark.parametrize("arguments", [{"until": float("nan")}, {"duration": -1.0}, {"until": 1.0, "duration": 1.0}])
+def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
+    with gf.Simulation(falling()) as simulation, pytest.raises(ValueError, match="until|duration"):
+        simulation.run(**arguments)
