@@ -70,6 +70,10 @@ class StopRun(Exception):
 
     All observers that are due at this time receive the snapshot before the run ends. `Simulation.run` then returns
     normally, and the run can continue with the next call.
+
+    >>> def stop_if_full(snapshot):
+    ...     if snapshot.totals["particle_count"] >= 1000:
+    ...         raise gf.StopRun
     """
 
 

@@ -52,7 +52,7 @@ def read_run(directory: str | os.PathLike[str]) -> "Run":
     >>> run = gf.read_run("out/two")
     >>> run
     <Run "Two steel spheres" in out/two: complete, 0.02 s, 101 frames>
-    >>> float(run.timeseries["kinetic_energy"].iloc[-1]) > 0
+    >>> float(run.timeseries_arrays["kinetic_energy"][-1]) > 0
     True
     """
     path = Path(directory)

@@ -13,8 +13,8 @@ import granflow as gf
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT_EXAMPLE = {
-    "Simulation", "analyze_snapshots", "calibrate", "on_interval", "register_contact_model", "start", "steady_flow",
-    "sweep",
+    "FunctionError", "ParticleForce", "Simulation", "analyze_snapshots", "calibrate", "on_interval",
+    "register_contact_model", "start", "steady_flow", "sweep",
 }  # fmt: skip
 """Names that compile kernels, run sweeps or read measurements: pages of the documentation show them."""
 

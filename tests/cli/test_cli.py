@@ -15,6 +15,7 @@ from granflow.cli.messages import Terminated, show_comparison
 from granflow.cli.scenes import prepare_output
 from granflow.errors import GranflowError, RunError, SceneError
 from granflow.io.lock import locked
+from granflow.load import Scene
 from granflow.runs.expectations import ExpectationResult
 from granflow.runs.previous import RESULT_FILES
 from granflow.runs.result import Result
@@ -38,7 +39,7 @@ def stubs(monkeypatch, tmp_path):
         def request_stop(self, error):
             raise error
 
-        def run(self, until=None):
+        def run(self, until=None, within_stages=False):
             calls.until = until
             if calls.raises:
                 raise calls.raises
@@ -225,9 +226,11 @@ def test_every_result_file_identifies_an_earlier_run(tmp_path, pattern):
 
 def empty_scene(folder=".", start_from=None, walls=(), particles=()):
     """The attributes of a scene that `prepare_output` reads."""
-    return types.SimpleNamespace(
+    scene = types.SimpleNamespace(
         folder=Path(folder), start_from=start_from, walls=dict(walls), particles=dict(particles)
     )
+    scene.input_names = lambda: Scene.input_names(scene)
+    return scene
 
 
 @pytest.mark.parametrize("inside", ["start_from", "walls.bowl.file", "particles.beads.insert.file"])
@@ -261,7 +264,7 @@ def test_output_directory_is_locked_during_the_run(stubs, monkeypatch):
         except GranflowError:
             seen.append("locked")
 
-    def run(self, until=None):
+    def run(self, until=None, within_stages=False):
         other = threading.Thread(target=lock_from_another_thread)
         other.start()
         other.join()
