@@ -39,6 +39,9 @@ def stubs(monkeypatch, tmp_path):
         def request_stop(self, error):
             raise error
 
+        def close(self):
+            return None
+
         def run(self, until=None, within_stages=False):
             calls.until = until
             if calls.raises:
