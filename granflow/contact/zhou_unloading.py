@@ -53,7 +53,7 @@ def least_restitution(k, mass, overlap_max, time_step, angle):
 
 @ti.func
 def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
-    """Force on the unloading branch [N], zero below the residual overlap.
+    """Force on the unloading branch [N], zero below the residual overlap, and its tangent [N/m].
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
@@ -63,7 +63,8 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
     above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
     cube = e * e * e
     slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-    return stiffness * above * (slope + cube * ti.sqrt(radius * above))
+    hertz = cube * ti.sqrt(radius * above)
+    return stiffness * above * (slope + hertz), stiffness * (slope + 1.5 * hertz)
 
 
 @ti.func
