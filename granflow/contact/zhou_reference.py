@@ -43,7 +43,8 @@ def reference_contact(
         elastic = lam * above + e**3 * k * above**1.5
         if elastic > 0.0 and constants.restitution < 1.0:
             tangent = lam + 1.5 * e**3 * k * np.sqrt(above)
-            viscous = 2.0 * reloading_ratio * np.sqrt(tangent * contact.mass_eff) * max(rate, 0.0)
+            share = max(1.0 - tangent * contact.time_step**2 / contact.mass_eff, 0.0)
+            viscous = 2.0 * reloading_ratio * share * np.sqrt(tangent * contact.mass_eff) * max(rate, 0.0)
     if elastic > 0.0 and damping_ratio > 0.0:
         root = reference_step_mean(DAMPING_POWER, overlap, rate, contact.time_step)
         viscous += 2.0 * damping_ratio * np.sqrt(1.5 * k * contact.mass_eff) * root * rate

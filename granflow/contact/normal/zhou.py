@@ -7,7 +7,6 @@ F = min(k d^1.5, unloading curve for dmax).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, refere
 from granflow.contact.zhou_unloading import (
     least_restitution,
     recovery_of,
+    reloading_damping,
     restitution_at,
     unloading_energy,
     unloading_force,
@@ -35,8 +35,8 @@ from granflow.device_functions import ti
 
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
-RELOADING_DAMPING_RATIO = 0.1
-"""Default of the option `reloading_damping_ratio`."""
+REST_DAMPING = 0.1
+"""Default of the option `rest_damping`."""
 
 
 _step_mean = build_step_mean(DAMPING_POWER)
@@ -50,14 +50,14 @@ class Zhou(NormalLaw):
     angle:            bound theta on sqrt(K/M) dt, where K is the unloading tangent
     damping_ratio:    zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is
                       the Hertz tangent; 0: no viscous force
-    reloading_damping_ratio:  the same of contacts that reload, where K is the unloading tangent; 0: none
+    rest_damping:  the same of contacts that reload, where K is the unloading tangent; 0: none
     has_inelastic:    whether a pair has the restitution 0, see `zhou_inelastic`
     """
 
     restitution_at: RestitutionAt
     angle: float
     damping_ratio: float = 0.0
-    reloading_damping_ratio: float = 0.0
+    rest_damping: float = 0.0
     has_inelastic: bool = False
 
     name = "zhou"
@@ -80,14 +80,14 @@ class Zhou(NormalLaw):
             restitution_at,
             request.unloading_angle,
             request.options["damping_ratio"],
-            0.0 if elastic else request.options["reloading_damping_ratio"],
+            0.0 if elastic else request.options["rest_damping"],
             any(is_inelastic(pair) for pair in request.pairs),
         )
 
     @property
     def parameters(self) -> Mapping[str, float]:
         """Bound on the unloading tangent, and the damping ratios of the viscous forces that are not disabled."""
-        ratios = {"damping_ratio": self.damping_ratio, "reloading_damping_ratio": self.reloading_damping_ratio}
+        ratios = {"damping_ratio": self.damping_ratio, "rest_damping": self.rest_damping}
         return {"unloading_angle": self.angle} | {name: ratio for name, ratio in ratios.items() if ratio > 0.0}
 
     @property
@@ -116,7 +116,7 @@ class Zhou(NormalLaw):
 
     def unresolved_unloading(self, pair: PairMaterial) -> float:
         """Ratio of the durations at the restitution LEAST_RESOLVED; 1 for an inelastic pair, which does not unload."""
-        return 1.0 if is_inelastic(pair) else _unresolved_unloading()
+        return 1.0 if is_inelastic(pair) else theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`; unused ones are 0 (psi: 1). Raises ValueError if the pair has no restitution."""
@@ -175,10 +175,9 @@ class Zhou(NormalLaw):
         loading_force = stiffness * ti.sqrt(radius * overlap) * overlap
         normal_force = ti.select(loading, loading_force, unloading)
         viscous = 0.0 * stiffness
-        if ti.static(self.reloading_damping_ratio > 0.0):
+        if ti.static(self.rest_damping > 0.0):
             reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
-            damping = 2.0 * constants.reloading_damping_ratio * ti.sqrt(tangent * contact.mass_eff)
-            viscous += ti.select(reloads, damping * rate, 0.0)
+            viscous += ti.select(reloads, constants.rest_damping * reloading_damping(contact, tangent) * rate, 0.0)
         if ti.static(self.rate_dependent):
             viscous += self.viscous_force(constants, contact)
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
@@ -226,7 +225,7 @@ class Zhou(NormalLaw):
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of the model for one contact, in float64."""
-        ratios = (self.damping_ratio, self.reloading_damping_ratio)
+        ratios = self.damping_ratio, self.rest_damping
         return reference_contact(contact, self.restitution_at, self.angle, *ratios)
 
     def phase_durations(
@@ -264,12 +263,6 @@ class Zhou(NormalLaw):
         return float(min(theory.least_restitution(k, mass_eff, largest, time_step, self.angle), 1.0))
 
 
-@cache
-def _unresolved_unloading() -> float:
-    """Ratio of unloading to loading duration at the restitution LEAST_RESOLVED."""
-    return theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
-
-
 MODEL = ContactModel(
     Zhou,
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
@@ -289,13 +282,13 @@ MODEL = ContactModel(
             at_most=1,
             default=0.0,
         ),
-        "reloading_damping_ratio": Amount(
+        "rest_damping": Amount(
             "damping ratio of a viscous force on contacts that are compressed again without having separated, as in a "
             "bed at rest; binary collisions are not affected; 0: no such force",
             *("0.1", "number", "a damping ratio"),
             at_least=0,
-            at_most=1,
-            default=RELOADING_DAMPING_RATIO,
+            at_most=0.5,
+            default=REST_DAMPING,
         ),
     },
     restitution="number or fit",
