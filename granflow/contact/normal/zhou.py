@@ -174,14 +174,17 @@ class Zhou(NormalLaw):
         )
         loading_force = stiffness * ti.sqrt(radius * overlap) * overlap
         normal_force = ti.select(loading, loading_force, unloading)
-        viscous = 0.0 * stiffness
+        viscous, excess = 0.0 * stiffness, 0.0 * stiffness
         if ti.static(self.rest_damping > 0.0):
             reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
-            viscous += ti.select(reloads, constants.rest_damping * reloading_damping(contact, tangent) * rate, 0.0)
+            damping = ti.select(reloads, constants.rest_damping * reloading_damping(contact, tangent), 0.0)
+            viscous += damping * rate
+            excess += 0.5 * damping * contact.time_step / contact.mass_eff * viscous  # `rate` precedes its deceleration
         if ti.static(self.rate_dependent):
             viscous += self.viscous_force(constants, contact)
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
         total = normal_force + viscous
+        viscous -= excess
         history_new = history
         history_new.overlap_max = ti.max(overlap, overlap_max)
         history_new.recovery = ti.select(loading, 0.0, recovery)
