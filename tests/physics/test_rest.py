@@ -1,7 +1,7 @@
 """Zhou contacts at rest: damping of contacts that reload brings particles to rest, and their displacement ends."""
 
 import numpy as np
-from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample
 
 DIAMETER = 0.01
 SOLID = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
