@@ -147,8 +147,7 @@ class NormalLaw(Law):
         """theta of a model that bounds its unloading tangent by theta^2 M/dt^2; 0: no such bound."""
         return 0.0
 
-    @property
-    def unresolved_unloading(self) -> float:
+    def unresolved_unloading(self, pair: PairMaterial) -> float:
         """If the ratio of unloading to loading duration is below this value, the time step need not resolve unloading.
 
         The model then bounds its own tangent.

@@ -116,6 +116,7 @@ def time_scale(k: Number, mass: Number, velocity: Number) -> Number:
     return (25.0 * mass**2 / (16.0 * k**2 * velocity)) ** 0.2
 
 
+@cache
 def unloading_duration(e: float) -> float:
     """eta2 of Eq. 15: unloading time over Ts, by Gauss quadrature after u - x = y sin(t).
 

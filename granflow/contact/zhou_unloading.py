@@ -53,7 +53,7 @@ def least_restitution(k, mass, overlap_max, time_step, angle):
 
 @ti.func
 def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
-    """Force on the unloading branch [N], zero below the residual overlap.
+    """Force on the unloading branch [N], zero below the residual overlap, and its tangent [N/m].
 
         F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
 
@@ -63,7 +63,23 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
     above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
     cube = e * e * e
     slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
-    return stiffness * above * (slope + cube * ti.sqrt(radius * above))
+    hertz = cube * ti.sqrt(radius * above)
+    return stiffness * above * (slope + hertz), stiffness * (slope + 1.5 * hertz)
+
+
+@ti.func
+def reloading_damping(contact, tangent):
+    """Damping [N s/m] of a contact that reloads, for the damping ratio 1; not from the paper.
+
+        c = 2 sqrt(K M) (1 - K dt^2/M)        K dt^2/M < 1, else 0
+
+    The factor preserves the stability limit of dense packings, 4 K dt^2/M + 4 c dt/M <= 4, for damping ratios up to
+    1/2: the damping acts on approach only, in half of the steps of the fastest mode.
+
+    tangent:  K [N/m], that of unloading
+    """
+    stiffness_number = tangent / contact.mass_eff * contact.time_step * contact.time_step
+    return 2.0 * ti.sqrt(tangent * contact.mass_eff) * ti.max(1.0 - stiffness_number, 0.0)
 
 
 @ti.func

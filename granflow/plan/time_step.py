@@ -141,7 +141,7 @@ def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> floa
     stiffness needs no shorter time step (durations: Zhou 2011, Eqs. 13 to 16, for the model of that paper).
     """
     loading, unloading = law.phase_durations(pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
-    return min(loading, max(unloading, law.unresolved_unloading * loading))
+    return min(loading, max(unloading, law.unresolved_unloading(pair_case.pair) * loading))
 
 
 def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:

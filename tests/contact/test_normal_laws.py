@@ -73,7 +73,7 @@ def test_only_attractive_models_have_tension(taichi_f64, case):
 def test_force_vanishes_at_zero_overlap(taichi_f64, case):
     tiny = 1e-9
     overlap = np.array([[3e-4, 3e-4], [3e-4 * tiny, 3e-4 * tiny]])
-    rate = np.array([[0.5, 0.0]] * 2)
+    rate = np.array([[0.5, 0.5]] * 2)  # at rest, a contact of restitution 0 has no force at its maximum overlap
     large, small = np.abs(evaluate_path(case, overlap, rate).elastic[:, 1])
     assert 0.0 < small <= 1.001 * tiny * large, "the force of every model is at most proportional to a small overlap"
 

@@ -173,7 +173,7 @@ def test_stable_step_that_does_not_reach_the_restitution_causes_a_warning(tmp_pa
 PAIRS = ("glass-glass", "glass-steel")
 INSERTION = TEXT.split("insert: ")[1].split("\n")[0]
 ROUGH = f"particles.rough={{material: steel, count: 5, diameter: 4 mm, fixed: true, insert: {INSERTION}}}"
-ZERO = [f"pairs.{pair}.restitution=0" for pair in PAIRS]
+UNRESOLVED = [f"pairs.{pair}.restitution=0.001" for pair in PAIRS]
 
 
 def groups_like_the_beads(count):
@@ -181,19 +181,27 @@ def groups_like_the_beads(count):
     return TEXT.replace(group, group + "".join(f"  group_{number}:\n{group}" for number in range(1, count)))
 
 
-def test_restitution_0_causes_one_warning_per_material_pair(tmp_path):
+def test_small_restitution_causes_one_warning_per_material_pair(tmp_path):
     """Ten groups and a wall have 65 kinds of contact: 55 between groups and 10 with the wall."""
     text = groups_like_the_beads(10)
-    (warning,) = plan_for(scene_of(tmp_path, *ZERO, text=text)).step.warnings
+    (warning,) = plan_for(scene_of(tmp_path, *UNRESOLVED, text=text)).step.warnings
     assert warning.startswith("glass-glass: ")
-    both = plan_for(scene_of(tmp_path, *ZERO, "walls.floor.material=steel", text=text)).step.warnings
+    both = plan_for(scene_of(tmp_path, *UNRESOLVED, "walls.floor.material=steel", text=text)).step.warnings
     assert [each.split(":")[0] for each in both] == list(PAIRS)
+
+
+def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
+    """The contact stops in one step; unloading, which takes longer than loading at restitution 1, is not resolved."""
+    steps = [plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={e}" for pair in PAIRS))).step for e in (0, 1)]
+    assert not steps[0].warnings
+    assert steps[0].least_restitution == 0.0
+    assert steps[0].value == pytest.approx(steps[1].value, rel=1e-6)
 
 
 def test_restitution_warning_names_the_contact_with_the_largest_deviation(tmp_path):
     """At the same velocity, a smaller particle has a shorter contact, which a given step resolves less."""
     text = groups_like_the_beads(3).replace("diameter: 4 mm", "diameter: 3 mm").replace("3 mm", "4 mm", 1)
-    (warning,) = plan_for(scene_of(tmp_path, *ZERO, "particles.group_2.diameter=2 mm", text=text)).step.warnings
+    (warning,) = plan_for(scene_of(tmp_path, *UNRESOLVED, "particles.group_2.diameter=2 mm", text=text)).step.warnings
     assert "(group_2-group_2)" in warning
 
 
@@ -203,12 +211,12 @@ def test_restitution_warning_names_the_contact_with_the_largest_deviation(tmp_pa
         (("particles.beads.count=1",), ["glass-glass"]),  # with the floor
         (("particles.beads.count=1", "walls.floor.material=steel"), ["glass-steel"]),
         (("particles.beads.count=1", "walls={}"), []),
-        ((ROUGH, "pairs.steel-steel={restitution: 0, friction: 0, rolling_friction: 0}"), list(PAIRS)),
+        ((ROUGH, "pairs.steel-steel={restitution: 0.001, friction: 0, rolling_friction: 0}"), list(PAIRS)),
         ((ROUGH, "particles.beads.fixed=true"), []),
     ],
 )
 def test_contacts_that_cannot_occur_cause_no_warning(tmp_path, overrides, pairs):
-    found = plan_for(scene_of(tmp_path, *ZERO, *overrides)).step.warnings
+    found = plan_for(scene_of(tmp_path, *UNRESOLVED, *overrides)).step.warnings
     assert [warning.split(":")[0] for warning in found] == pairs
 
 

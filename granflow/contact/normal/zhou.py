@@ -7,9 +7,6 @@ F = min(k d^1.5, unloading curve for dmax).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from types import SimpleNamespace
-from typing import Literal
 
 import numpy as np
 
@@ -18,28 +15,28 @@ from granflow.contact.law import ContactState, HistoryField, ModelRequest, Norma
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
-from granflow.contact.substep_corrections import (
-    build_step_mean,
-    reference_mean_above,
-    reference_step_mean,
-    reference_turning_point,
-    turning_point,
+from granflow.contact.substep_corrections import build_step_mean, turning_point
+from granflow.contact.zhou_inelastic import (
+    inelastic_force,
+    inelastic_pair,
+    is_inelastic,
+    support_energy,
 )
+from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, reference_contact
 from granflow.contact.zhou_unloading import (
     least_restitution,
     recovery_of,
+    reloading_damping,
     restitution_at,
     unloading_energy,
     unloading_force,
 )
 from granflow.device_functions import ti
 
-RestitutionAt = Literal["impact", "max_overlap", "constant"]
-
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
-DAMPING_POWER = 0.25
-"""Exponent of the overlap in the viscous force."""
+REST_DAMPING = 0.1
+"""Default of the option `rest_damping`."""
 
 
 _step_mean = build_step_mean(DAMPING_POWER)
@@ -53,11 +50,15 @@ class Zhou(NormalLaw):
     angle:            bound theta on sqrt(K/M) dt, where K is the unloading tangent
     damping_ratio:    zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is
                       the Hertz tangent; 0: no viscous force
+    rest_damping:  the same of contacts that reload, where K is the unloading tangent; 0: none
+    has_inelastic:    whether a pair has the restitution 0, see `zhou_inelastic`
     """
 
     restitution_at: RestitutionAt
     angle: float
     damping_ratio: float = 0.0
+    rest_damping: float = 0.0
+    has_inelastic: bool = False
 
     name = "zhou"
     source = "Zhou 2011, doi 10.1063/2.1104106, Eqs. 4-12"
@@ -74,13 +75,20 @@ class Zhou(NormalLaw):
         """The law that a scene requests; constant restitution if that of every pair is a number."""
         fitted = any(isinstance(pair.restitution, VelocityRestitution) for pair in request.pairs)
         restitution_at: RestitutionAt = request.options["restitution_at"] if fitted else "constant"
-        return cls(restitution_at, request.unloading_angle, request.options["damping_ratio"])
+        elastic = all(pair.restitution == 1.0 for pair in request.pairs)
+        return cls(
+            restitution_at,
+            request.unloading_angle,
+            request.options["damping_ratio"],
+            0.0 if elastic else request.options["rest_damping"],
+            any(is_inelastic(pair) for pair in request.pairs),
+        )
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Bound on the unloading tangent, and the damping ratio if there is a viscous force."""
-        damping = {"damping_ratio": self.damping_ratio} if self.rate_dependent else {}
-        return {"unloading_angle": self.angle, **damping}
+        """Bound on the unloading tangent, and the damping ratios of the viscous forces that are not disabled."""
+        ratios = {"damping_ratio": self.damping_ratio, "rest_damping": self.rest_damping}
+        return {"unloading_angle": self.angle} | {name: ratio for name, ratio in ratios.items() if ratio > 0.0}
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
@@ -106,10 +114,9 @@ class Zhou(NormalLaw):
         """Bound on the unloading tangent, see `least_restitution`."""
         return self.angle
 
-    @property
-    def unresolved_unloading(self) -> float:
-        """Ratio of the durations at the restitution LEAST_RESOLVED."""
-        return _unresolved_unloading()
+    def unresolved_unloading(self, pair: PairMaterial) -> float:
+        """Ratio of the durations at the restitution LEAST_RESOLVED; 1 for an inelastic pair, which does not unload."""
+        return 1.0 if is_inelastic(pair) else theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
 
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`; unused ones are 0 (psi: 1). Raises ValueError if the pair has no restitution."""
@@ -139,7 +146,10 @@ class Zhou(NormalLaw):
         if ti.static(self.restitution_at != "max_overlap"):
             if history_new.overlap_max == 0.0:
                 history_new.restitution = restitution_at(constants, contact.overlap_rate)
-        if contact.overlap < history_new.overlap_max and history_new.recovery == 0.0:
+        unloads = contact.overlap < history_new.overlap_max and history_new.recovery == 0.0
+        if ti.static(self.has_inelastic):
+            unloads = unloads and not inelastic_pair(constants)
+        if unloads:
             largest, mass = history_new.overlap_max, contact.mass_eff
             largest_force = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * largest) * largest
             overlap_rate_half = contact.overlap_rate
@@ -154,32 +164,55 @@ class Zhou(NormalLaw):
     @ti.func
     def force(self, constants, contact, history):
         """Force of the present branch [N] (Zhou 2011, Eq. 4); the viscous part is limited so that the total is >= 0."""
-        overlap, radius, rate, time_step = contact.overlap, contact.radius_eff, contact.overlap_rate, contact.time_step
+        overlap, radius, rate = contact.overlap, contact.radius_eff, contact.overlap_rate
         stiffness = 4.0 / 3.0 * constants.modulus_eff
-        contact_radius = ti.sqrt(radius * overlap)
-        overlap_max, e, recovery = history.overlap_max, history.restitution, history.recovery
+        overlap_max, recovery = history.overlap_max, history.recovery
         loading = overlap >= overlap_max
-        unloading = unloading_force(
-            stiffness, radius, overlap_max, e, ti.select(loading, 1.0, recovery), overlap, rate, time_step
+        y = ti.select(loading, 1.0, recovery)
+        unloading, tangent = unloading_force(
+            stiffness, radius, overlap_max, history.restitution, y, overlap, rate, contact.time_step
         )
-        normal_force = ti.select(loading, stiffness * contact_radius * overlap, unloading)
-        viscous = 0.0 * stiffness
+        loading_force = stiffness * ti.sqrt(radius * overlap) * overlap
+        normal_force = ti.select(loading, loading_force, unloading)
+        viscous, excess = 0.0 * stiffness, 0.0 * stiffness
+        if ti.static(self.rest_damping > 0.0):
+            reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
+            damping = ti.select(reloads, constants.rest_damping * reloading_damping(contact, tangent), 0.0)
+            viscous += damping * rate
+            excess += 0.5 * damping * contact.time_step / contact.mass_eff * viscous  # `rate` precedes its deceleration
         if ti.static(self.rate_dependent):
-            overlap_at, weight = _step_mean(overlap, rate, time_step)
-            tangent = 1.5 * stiffness * ti.sqrt(radius * overlap_at)
-            viscous = 2.0 * constants.damping_ratio * weight * ti.sqrt(tangent * contact.mass_eff) * rate
+            viscous += self.viscous_force(constants, contact)
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)
+        total = normal_force + viscous
+        viscous -= excess
         history_new = history
         history_new.overlap_max = ti.max(overlap, overlap_max)
         history_new.recovery = ti.select(loading, 0.0, recovery)
-        return normal_force + viscous, viscous, history_new
+        if ti.static(self.has_inelastic):
+            inelastic = inelastic_pair(constants)
+            force, viscous_part, largest, state = inelastic_force(constants, contact, loading_force, history)
+            total, viscous = ti.select(inelastic, force, total), ti.select(inelastic, viscous_part, viscous)
+            history_new.overlap_max = ti.select(inelastic, largest, history_new.overlap_max)
+            history_new.recovery = ti.select(inelastic, state, history_new.recovery)
+        return total, viscous, history_new
+
+    @ti.func
+    def viscous_force(self, constants, contact):
+        """Viscous force of the option `damping_ratio` [N], mean over the step."""
+        overlap_at, weight = _step_mean(contact.overlap, contact.overlap_rate, contact.time_step)
+        tangent = 2.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff * overlap_at)
+        return 2.0 * constants.damping_ratio * weight * ti.sqrt(tangent * contact.mass_eff) * contact.overlap_rate
 
     @ti.func
     def stored_energy(self, constants, contact, history):
         """Energy recovered by unloading from the present overlap [J]."""
         k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
         e, y = self.unloading_parameters(constants, contact, history)
-        return unloading_energy(k, history.overlap_max, e, y, contact.overlap)
+        energy = unloading_energy(k, history.overlap_max, e, y, contact.overlap)
+        if ti.static(self.has_inelastic):
+            if inelastic_pair(constants):
+                energy = support_energy(constants, contact, history)
+        return energy
 
     @ti.func
     def lost_energy(self, constants, contact, history):
@@ -187,41 +220,16 @@ class Zhou(NormalLaw):
         k, largest = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff), history.overlap_max
         e, y = self.unloading_parameters(constants, contact, history)
         loading_work = 0.4 * k * largest * largest * ti.sqrt(largest)
-        return loading_work - unloading_energy(k, largest, e, y, largest)
+        recovered = unloading_energy(k, largest, e, y, largest)
+        if ti.static(self.has_inelastic):
+            if inelastic_pair(constants):
+                recovered = 0.0
+        return loading_work - recovered
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of the model for one contact, in float64."""
-        overlap, constants, history = contact.overlap, contact.constants, contact.history
-        k = float(theory.hertz_stiffness(constants.modulus_eff, contact.radius_eff))
-        largest, e, y = history.overlap_max, history.restitution, history.recovery
-        if self.restitution_at != "max_overlap" and largest == 0.0:
-            e = _reference_restitution(constants, contact.overlap_rate)
-        if overlap >= largest:
-            elastic, largest, y = k * overlap**1.5, overlap, 0.0
-        else:
-            if y == 0.0:
-                largest, e, y = self._reference_unloading(contact, k, e)
-            above = reference_mean_above(overlap - largest * (1.0 - y), contact.overlap_rate, contact.time_step)
-            lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
-            elastic = lam * above + e**3 * k * above**1.5
-        if elastic > 0.0 and self.damping_ratio > 0.0:
-            root = reference_step_mean(DAMPING_POWER, overlap, contact.overlap_rate, contact.time_step)
-            damping = 2.0 * self.damping_ratio * np.sqrt(1.5 * k * contact.mass_eff) * root
-            elastic = max(elastic + damping * contact.overlap_rate, 0.0)
-        return float(elastic), {"overlap_max": largest, "restitution": e, "recovery": y}
-
-    def _reference_unloading(self, contact: ContactState, k: float, e: float) -> tuple[float, float, float]:
-        """Maximum overlap [m], restitution and recovery at the start of unloading."""
-        largest, mass, time_step = contact.history.overlap_max, contact.mass_eff, contact.time_step
-        force, rate = k * largest**1.5, contact.overlap_rate
-        if self.damping_ratio > 0.0:
-            rate += 0.5 * time_step * force / mass
-        largest = reference_turning_point(largest, force, mass, time_step, rate)
-        if self.restitution_at == "max_overlap":
-            e = _reference_restitution(contact.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
-        least = float(theory.least_restitution(k, mass, largest, time_step, self.angle))
-        e = min(max(e, least), 1.0)
-        return largest, e, float(theory.recovery(e))
+        ratios = self.damping_ratio, self.rest_damping
+        return reference_contact(contact, self.restitution_at, self.angle, *ratios)
 
     def phase_durations(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
@@ -250,24 +258,12 @@ class Zhou(NormalLaw):
     def least_restitution(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
     ) -> float:
-        """Smallest restitution that the bound on the unloading tangent permits."""
+        """Smallest restitution that the bound on the unloading tangent permits; 0 for an inelastic pair."""
+        if is_inelastic(pair):
+            return 0.0
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
         largest = theory.overlap_max(k, mass_eff, velocity)
         return float(min(theory.least_restitution(k, mass_eff, largest, time_step, self.angle), 1.0))
-
-
-@cache
-def _unresolved_unloading() -> float:
-    """Ratio of unloading to loading duration at the restitution LEAST_RESOLVED."""
-    return theory.unloading_duration(LEAST_RESOLVED) / theory.LOADING_DURATION
-
-
-def _reference_restitution(constants: SimpleNamespace, velocity: float) -> float:
-    """Restitution at an approach velocity [m/s]."""
-    if constants.limit_velocity == 0.0:
-        return float(constants.restitution)
-    fit = VelocityRestitution(constants.sigma, constants.psi, constants.limit_velocity)
-    return float(fit(max(velocity, 0.0)))
 
 
 MODEL = ContactModel(
@@ -288,6 +284,14 @@ MODEL = ContactModel(
             at_least=0,
             at_most=1,
             default=0.0,
+        ),
+        "rest_damping": Amount(
+            "damping ratio of a viscous force on contacts that are compressed again without having separated, as in a "
+            "bed at rest; binary collisions are not affected; 0: no such force",
+            *("0.1", "number", "a damping ratio"),
+            at_least=0,
+            at_most=0.5,
+            default=REST_DAMPING,
         ),
     },
     restitution="number or fit",

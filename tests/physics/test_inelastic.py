@@ -1,0 +1,158 @@
+"""Contacts of the restitution 0: impacts without rebound, and the completely inelastic bouncing ball.
+
+The ball on a plate with the height A sin(w t), Gamma = A w^2/g (Mehta & Luck 1990, doi 10.1103/PhysRevLett.65.393): it
+rests on the plate until the plate accelerates downward by more than g, at sin(w t) = 1 / Gamma, lands without rebound,
+and leaves again at once if it lands while the plate accelerates downward by more than g.
+"""
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
+from scipy.optimize import brentq
+
+GRAVITY, FREQUENCY, RADIUS = 9.81, 25.0, 0.0025
+SOLID = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
+BOX = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"}
+PERIODS, TRANSIENT = 9, 4
+"""Periods of the plate per run, and periods whose flights do not count."""
+
+
+def inelastic_scene(groups, walls, duration, **parts):
+    """A scene of restitution 0 under gravity."""
+    return build_scene(
+        groups, walls=walls, materials={"glass": SOLID}, pair={"restitution": 0.0}, domain=BOX,
+        run={"duration": duration, "velocity_max": 0.5}, **({"gravity": [0.0, 0.0, -GRAVITY]} | parts),
+    )  # fmt: skip
+
+
+def landing_phase(gamma, start):
+    """Phase p at which a flight that starts with the velocity of the plate ends; heights in g/w^2, phases in w t.
+
+    gamma sin(p0) + gamma cos(p0) (p - p0) - (p - p0)^2 / 2 = gamma sin(p)
+    """
+
+    def height(phase):
+        time = phase - start
+        return gamma * (np.sin(start) - np.sin(phase) + np.cos(start) * time) - 0.5 * time**2
+
+    grid = start + np.linspace(1e-3, 4.0 * np.pi, 40000)
+    first = int(np.argmax(height(grid) < 0.0))
+    return brentq(height, grid[first - 1], grid[first], xtol=1e-12)
+
+
+def flights_of_map(gamma):
+    """Durations of the flights after the transient, over the period, from the event-driven map."""
+    release, cycle, flights = np.arcsin(1.0 / gamma), 2.0 * np.pi, []
+    start = release
+    while start < cycle * PERIODS:
+        landing = landing_phase(gamma, start)
+        if start > cycle * TRANSIENT and landing < cycle * PERIODS:
+            flights.append((landing - start) / cycle)
+        rests = gamma * np.sin(landing) < 1.0
+        start = release + cycle * np.ceil((landing - release) / cycle) if rests else landing
+    return np.array(flights)
+
+
+def flights_of_run(gammas, samples):
+    """For each gamma, durations of the flights after the transient, over the period; `samples` per period.
+
+    A flight is a time without force that is longer than three samples. All balls are in one run, each on a plate.
+    """
+    side, walls = 4.0 * RADIUS, {}
+    for number, gamma in enumerate(gammas):
+        walls[f"plate_{number}"] = {
+            "shape": "rectangle",
+            "corner": [(number - 0.5) * side, -0.5 * side, 0.0],
+            "sides": [[side, 0.0, 0.0], [0.0, side, 0.0]],
+            "material": "glass",
+            "motion": {"kind": "vibration", "direction": [0, 0, 1], "gamma": gamma, "frequency": FREQUENCY},
+        }
+    balls = particle_group([[number * side, 0.0, RADIUS] for number in range(len(gammas))], 2.0 * RADIUS)
+    numerics = {"time_step_fraction": 0.2}
+    scene = inelastic_scene({"balls": balls}, walls, PERIODS / FREQUENCY, numerics=numerics)
+    snapshots = run_and_sample(scene, 1.0 / (samples * FREQUENCY), contacts=True)
+    supported = np.zeros((len(snapshots), len(gammas)), dtype=bool)
+    for row, snapshot in enumerate(snapshots):
+        has_force = np.linalg.norm(snapshot.contacts["force"], axis=1) > 0.0
+        supported[row, snapshot.contacts["id_i"][has_force]] = True
+    return [times_without_force(times(snapshots) * FREQUENCY, each, samples) for each in supported.T]
+
+
+def times_without_force(time, supported, samples):
+    """Durations of the flights that start after the transient and end before the last time."""
+    ends = np.flatnonzero(supported[:-1] & ~supported[1:])
+    begins = np.flatnonzero(~supported[:-1] & supported[1:])
+    pairs = [(time[end], time[begins[begins > end][0]]) for end in ends if np.any(begins > end)]
+    return np.array([b - a for a, b in pairs if a > TRANSIENT and b - a > 3.5 / samples])
+
+
+def check_flights(gammas, samples):
+    """The contact forms one overlap, 30 micrometers, above the plane that supports the ball: 0.4 % of a period.
+
+    The flights of the run end earlier by this time; they are sampled to one sample at each end.
+    """
+    for gamma, found in zip(gammas, flights_of_run(gammas, samples), strict=True):
+        if gamma < 1.0:
+            assert len(found) == 0
+            continue
+        expected = flights_of_map(gamma)
+        count = min(len(found), len(expected))
+        assert count >= 2, gamma
+        np.testing.assert_allclose(found[:count], expected[:count], rtol=0.0, atol=0.005 + 1.0 / samples)
+
+
+def test_inelastic_ball_doubles_its_period(taichi_f64):
+    """One flight of equal duration per period below sqrt(1 + pi^2) = 3.297, where a flight lasts a whole period:
+
+    2 pi gamma cos(p0) = (2 pi)^2 / 2 and sin(p0) = 1 / gamma. Above it, flights of two durations alternate.
+    """
+    assert np.ptp(flights_of_map(3.29)) < 1e-6
+    assert flights_of_map(np.sqrt(1.0 + np.pi**2))[0] == pytest.approx(1.0, abs=1e-9)
+    assert np.ptp(flights_of_map(3.8)) > 0.14
+    check_flights((0.95, 3.2, 3.8), 200)
+
+
+@pytest.mark.slow
+def test_inelastic_ball_follows_the_event_driven_map(taichi_f64):
+    check_flights((0.95, 1.05, 1.5, 2.5, 3.2, 3.4, 3.6, 3.8, 4.2, 4.8), 400)
+
+
+@pytest.mark.parametrize("diameters", [(0.005, 0.005), (0.005, 0.008)])
+@pytest.mark.parametrize("fraction", [0.05, 0.5])
+def test_two_particles_have_a_common_velocity_after_an_inelastic_impact(taichi_f64, diameters, fraction):
+    """v = (m1 v1 + m2 v2) / (m1 + m2), whatever the time step; the energy budget closes."""
+    velocities = np.array([[0.3, 0.0, 0.0], [-0.1, 0.0, 0.0]])
+    distance = 0.5 * sum(diameters) + 1e-4
+    group = particle_group([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]], list(diameters), velocity=velocities)
+    parts = {"gravity": [0.0, 0.0, 0.0], "numerics": {"time_step_fraction": fraction}}
+    scene = inelastic_scene({"balls": group}, {}, 0.005, output={"interval": 1.0, "energy_budget": True}, **parts)
+    last, _ = run_to_end(scene)
+    mass = last.particles["mass"]
+    common = mass @ velocities / mass.sum()
+    np.testing.assert_allclose(last.particles["velocity"], [common, common], rtol=0.0, atol=1e-12)
+    loss = 0.5 * mass @ np.sum(velocities**2, axis=1) - 0.5 * mass.sum() * common @ common
+    assert last.totals["plastic_dissipation"] == pytest.approx(loss, rel=2e-3 if fraction < 0.1 else 0.1)
+
+
+def test_ball_that_hits_a_ceiling_falls_from_rest(taichi_f64):
+    """No rebound and no tension: gravity separates the contact at once."""
+    ceiling = {"ceiling": plane([0, 0, 0.01], [0, 0, -1])}
+    ball = particle_group([[0.0, 0.0, 0.01 - RADIUS - 1e-4]], 2.0 * RADIUS, velocity=[0.0, 0.0, 0.4])
+    snapshots = run_and_sample(inelastic_scene({"ball": ball}, ceiling, 0.05), 0.001)
+    time, velocity = times(snapshots), column(snapshots, "velocity")[:, 0, 2]
+    falling = time > 0.0015
+    release = time[falling] + velocity[falling] / GRAVITY
+    np.testing.assert_allclose(release, release[0], rtol=0.0, atol=1e-12)
+    assert 0.00025 < release[0] < 0.0005  # after 0.25 ms of flight and the impact
+
+
+def test_ball_comes_to_rest_on_a_floor(taichi_f64):
+    """The floor carries the weight without oscillation; the ball sinks by less than a picometer in 10 ms."""
+    ball = particle_group([[0.0, 0.0, RADIUS + 1e-3]], 2.0 * RADIUS)
+    scene = inelastic_scene({"ball": ball}, {"floor": plane([0, 0, 0], [0, 0, 1])}, 0.05)
+    snapshots = run_and_sample(scene, 0.01)
+    height, speed = column(snapshots, "position")[:, 0, 2], column(snapshots, "velocity")[:, 0, 2]
+    assert abs(height[-1] - height[-2]) < 1e-12
+    assert abs(speed[-1]) < 1e-9
+    weight = snapshots[-1].particles["mass"][0] * GRAVITY
+    np.testing.assert_allclose(snapshots[-1].particles["force"][0], 0.0, atol=1e-6 * weight)
