@@ -13,7 +13,7 @@ from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.options import Amount
-from granflow.contact.surface_law import RollingLaw, TangentialLaw
+from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 from granflow.engine import backend
 
 
@@ -43,7 +43,7 @@ def compile_models(number, folder):
 def evaluate(law):
     """Compile and launch a kernel that contains the device functions of a law, on no contacts."""
     flat, cube, row = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(9)
-    if isinstance(law, TangentialLaw | RollingLaw):
+    if isinstance(law, TangentialLaw | RollingLaw | TwistingLaw):
         surface_kernel(law)(row, row, cube, np.zeros((0, 0, 0, 0)), cube, flat, flat, cube)
     else:
         laws = ContactLaws(law) if isinstance(law, NormalLaw) else ContactLaws(Hertz(False), cohesion=law)
