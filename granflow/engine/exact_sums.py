@@ -9,14 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.force.external_forces import build_external_force
-from granflow.engine.limits import ABORT_FORCE
 from granflow.engine.state import State
 from granflow.kernel_language import ti
-from granflow.plan.sum_units import CARRY_BITS, FORCE, SUM_BITS, TORQUE
-
-LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
-"""Largest squared sum of forces or torques in units: below it, all sums are exact."""
+from granflow.plan.sum_units import CARRY_BITS
 
 SHARES = 2
 """Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single one."""
@@ -43,8 +38,8 @@ def build_to_grid(real: Any) -> Any:
 
         (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
-    In f64, forces are below s / 3 (see `build_set_forces`). In f32, a force above s is a multiple of the unit anyway;
-    sums are in f64 there, too.
+    In f64, forces are below s / 3 (see `engine.force.set_forces`). In f32, a force above s is a multiple of the unit
+    anyway; sums are in f64 there, too.
 
     real:  type of the argument
     """
@@ -57,34 +52,6 @@ def build_to_grid(real: Any) -> Any:
         return rounded
 
     return to_grid
-
-
-def build_set_forces(state: State) -> Any:
-    """Device function (chunk, i, sums of contact forces and torques, gravity [m/s2], time_step): set total forces.
-
-    Weight and external forces are added to the sums. Aborts if the sums are above the range in which they are exact.
-
-    Reads:   mass, id; as `build_external_force`
-    Writes:  force, torque, abort, abort_particle; as `build_external_force`
-    """
-    particles, control, features, real = state.particles, state.control, state.plan.features, state.backend.real
-    per_unit = state.parameter("per_unit")
-    external_force = build_external_force(state) if features.external_forces else None
-
-    @ti.func
-    def set_forces(chunk, i, force_sum, torque_sum, acceleration, dt):
-        particles.force[i] = ti.cast(force_sum, real) + particles.mass[i] * acceleration
-        if ti.static(features.external_forces):
-            particles.force[i] = particles.force[i] + external_force(chunk, i, particles.force[i], dt)
-        if ti.static(features.rotation):
-            particles.torque[i] = ti.cast(torque_sum, real)
-        units = ti.cast(per_unit(), ti.f64)
-        force, torque = units[FORCE] * force_sum, units[TORQUE] * torque_sum
-        if ti.max(force.norm_sqr(), torque.norm_sqr()) > LIMIT_SQUARED:
-            ti.atomic_max(control.abort[0], ABORT_FORCE)
-            ti.atomic_min(control.abort_particle[0], particles.id[i])
-
-    return set_forces
 
 
 def build_list_shares(state: State) -> Any:

@@ -9,7 +9,6 @@ from typing import Any
 
 from granflow.engine.exact_sums import (
     build_list_shares,
-    build_set_forces,
     build_to_grid,
     carried,
     energy_words,
@@ -22,6 +21,7 @@ from granflow.engine.force.pair_kinematics import (
     build_pair_constants,
     build_pair_kinematics,
 )
+from granflow.engine.force.set_forces import build_set_forces
 from granflow.engine.force.simd_pair_force import build_batched_forces
 from granflow.engine.force.wall_forces import build_add_impulse
 from granflow.engine.limits import ABORT_OVERLAP

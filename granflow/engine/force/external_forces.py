@@ -16,6 +16,7 @@ from typing import Any
 
 from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
+from granflow.engine.exact_sums import energy_words
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.state import State
@@ -65,7 +66,7 @@ def build_external_force(state: State) -> Any:
 def build_add_external_work(state: State) -> Any:
     """Device function (chunk, i, force [N], velocity [m/s] at the half step, time_step): add the work of half a step.
 
-    Rounded to the nearest unit, so that the errors of many small terms cancel. Fixed particles do not move.
+    Fixed particles do not move.
 
     Reads:   fixed
     Writes:  external_work
@@ -75,10 +76,9 @@ def build_add_external_work(state: State) -> Any:
     @ti.func
     def add_work(chunk, i, force, velocity, dt):
         power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
-        # half of the work in a step, in units of energy / SHARES
-        units = ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power
-        added = ti.cast(ti.floor(units + 0.5), ti.i64)
-        control.external_work[chunk][0] = control.external_work[chunk][0] + added
+        # half of the work in a step, as energies are in units / SHARES
+        low, high = energy_words(ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power)
+        control.external_work[chunk] = control.external_work[chunk] + ti.Vector([low, high])
 
     return add_work
 
