@@ -54,6 +54,7 @@ def test_stack_comes_to_rest_to_rounding(taichi_f64):
 
 
 def test_restitution_1_remains_without_dissipation(taichi_f64):
-    """Rest damping does not act on pairs of the restitution 1, whose energy is conserved."""
-    bouncing = stack("zhou", 1.0, 0.3)
-    assert sum(bouncing[-1].totals[name] for name in DISSIPATED) == 0.0
+    """Rest damping does not act on pairs of the restitution 1; plastic work remains at the rounding of the energies."""
+    last = stack("zhou", 1.0, 0.3)[-1].totals
+    assert last["damping_dissipation"] == 0.0
+    assert sum(last[name] for name in DISSIPATED) < 1e-12 * last["gravitational_energy"]
