@@ -147,4 +147,4 @@ def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypa
 def test_header_is_json(tmp_path):
     with zipfile.ZipFile(written(tmp_path)) as archive:
         header = json.loads(archive.read("header.json"))
-    assert header["format"] == 3 and header["scene"] == "title: A scene\n"
+    assert header["format"] == 4 and header["scene"] == "title: A scene\n"
