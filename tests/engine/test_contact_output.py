@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, run_and_sample
 
+from granflow.plan.build import plan_for
+
 GRAVITY = np.array([0.0, 0.0, -9.81])
 EPS = np.finfo(float).eps
 
 
 def separating_block(chunk_size=512, pair=None, **parts):
-    """Snapshots of spinning particles between rough walls; the block overlaps initially and then separates."""
+    """Scene and snapshots of spinning particles between rough walls; the block overlaps initially, then separates."""
     rng = np.random.default_rng(6)
     positions = 0.0098 * (np.argwhere(np.ones((4, 4, 4))) + 0.5)
     group = particle_group(
@@ -23,19 +25,20 @@ def separating_block(chunk_size=512, pair=None, **parts):
         run={"duration": 0.002, "velocity_max": 2.0}, numerics={"chunk_size": chunk_size, "max_overlap": 0.3},
         **parts,
     )  # fmt: skip
-    return run_and_sample(scene, 0.001, contacts=True)[1:]
+    return scene, run_and_sample(scene, 0.001, contacts=True)[1:]
 
 
 def contact_force_sums(snapshot):
-    """Sum of the contact forces on each particle (n, 3), and sum of their magnitudes (n,)."""
+    """Sum of the contact forces on each particle (n, 3), sum of their magnitudes and number of contacts (n,)."""
     ids, contacts = snapshot.particles["id"], snapshot.contacts
-    total, magnitude = np.zeros((ids.size, 3)), np.zeros(ids.size)
+    total, magnitude, count = np.zeros((ids.size, 3)), np.zeros(ids.size), np.zeros(ids.size)
     with_particle = contacts["wall"] < 0
     for name, sign, selected in (("id_i", 1.0, slice(None)), ("id_j", -1.0, with_particle)):
         index = np.searchsorted(ids, contacts[name][selected])
         np.add.at(total, index, sign * contacts["force"][selected])
         np.add.at(magnitude, index, np.linalg.norm(contacts["force"][selected], axis=1))
-    return total, magnitude
+        np.add.at(count, index, 1.0)
+    return total, magnitude, count
 
 
 COHESIVE = {
@@ -45,19 +48,27 @@ COHESIVE = {
 
 
 @pytest.fixture(scope="module", params=[{}, {"chunk_size": 5}, COHESIVE], ids=["one_chunk", "chunks", "cohesive"])
-def snapshots(taichi_f64, request):
-    """Snapshots with friction; pairs across chunks are listed twice; the cohesive case also has damping."""
+def block(taichi_f64, request):
+    """Scene and snapshots with friction; pairs across chunks are listed twice; the cohesive case also has damping."""
     return separating_block(**request.param)
 
 
-def test_contact_forces_and_weight_add_up_to_the_particle_force(snapshots):
+@pytest.fixture(scope="module")
+def snapshots(block):
+    return block[1]
+
+
+def test_contact_forces_and_weight_add_up_to_the_particle_force(block):
+    scene, snapshots = block
+    unit = plan_for(scene).sum_units.force
     for snapshot in snapshots:
         particles, contacts = snapshot.particles, snapshot.contacts
         assert contacts["tangential_force"].max() > 0.01 * contacts["normal_force"].max() > 0.0
-        total, magnitude = contact_force_sums(snapshot)
+        total, magnitude, count = contact_force_sums(snapshot)
         expected = particles["force"] - particles["mass"][:, None] * GRAVITY
-        # A sum of ten forces, each with about ten rounding errors, weight included.
-        allowed = 100.0 * EPS * (magnitude + particles["mass"] * 9.81)
+        # A sum of ten forces, each with about ten rounding errors, weight included. In the force on a particle, each
+        # component of a contact force is rounded to the nearest multiple of the unit.
+        allowed = 100.0 * EPS * (magnitude + particles["mass"] * 9.81) + np.sqrt(3.0) / 2.0 * unit * count
         assert np.all(np.linalg.norm(total - expected, axis=1) <= allowed)
 
 

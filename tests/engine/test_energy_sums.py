@@ -36,7 +36,9 @@ def totals(inserted, removed=0.5, **changes):
     losses = LOSS_VALUES | changes
     words = [[int(losses[name] * 2 / ENERGY_UNIT) for name in LOSSES] + [0] * len(LOSSES)]
     field = SimpleNamespace(to_numpy=lambda: np.array(words))
-    state = SimpleNamespace(control=SimpleNamespace(losses=field, boundary_work=None), wall_dynamics=None)
+    state = SimpleNamespace(
+        control=SimpleNamespace(losses=field, boundary_work=None, external_work=None), wall_dynamics=None
+    )
     state.backend, state.plan = SimpleNamespace(precision="f64"), SimpleNamespace(sum_units=SimpleNamespace())
     state.plan.sum_units.energy = ENERGY_UNIT
     return energy_budget_totals(state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED)
