@@ -35,8 +35,6 @@ from granflow.device_functions import ti
 
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
-REST_DAMPING = 0.1
-"""Default of the option `rest_damping`."""
 
 
 _step_mean = build_step_mean(DAMPING_POWER)
@@ -291,7 +289,7 @@ MODEL = ContactModel(
             *("0.1", "number", "a damping ratio"),
             at_least=0,
             at_most=0.5,
-            default=REST_DAMPING,
+            default=0.0,
         ),
     },
     restitution="number or fit",
