@@ -22,7 +22,7 @@ import numpy as np
 from granflow.contact.law import NormalLaw
 from granflow.plan.time_step import PairCase
 
-FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 47, 43
+FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43
 """Binary digits of the largest force in units of a force, and so on: fewer, if more terms are added.
 
 An energy is added in two words, so that the contacts of small particles count in the presence of very large ones.
