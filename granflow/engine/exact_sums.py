@@ -33,6 +33,21 @@ def energy_words(value):
     return to_units((value - high) * 2.0**CARRY_BITS), high
 
 
+@ti.func
+def add_energy(sums: ti.template(), chunk, term: ti.template(), terms: ti.template(), shares, value):
+    """Add `shares` times an energy to one of the two-word sums of a chunk.
+
+    sums:   field of vectors of `terms` low words and `terms` high words
+    value:  as in `energy_words`
+
+    Writes:  sums
+    """
+    low, high = energy_words(value)
+    high_word = ti.static(term + terms)  # an index that is not static crashes the kernel compiler
+    sums[chunk][term] = sums[chunk][term] + shares * low
+    sums[chunk][high_word] = sums[chunk][high_word] + shares * high
+
+
 def build_to_grid(real: Any) -> Any:
     """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite arguments.
 

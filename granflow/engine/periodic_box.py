@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.exact_sums import SHARES, energy_words
+from granflow.engine.exact_sums import SHARES, add_energy
 from granflow.engine.state import State
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.kernel_language import ti
@@ -202,8 +202,7 @@ def _build_add_energy_gain(state: State) -> Any:
             gained += mass * (
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
             )
-        low, high = energy_words(ti.cast(per_unit()[ENERGY], ti.f64) * gained)
-        control.boundary_work[chunk] = control.boundary_work[chunk] + SHARES * ti.Vector([low, high])
+        add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit()[ENERGY], ti.f64) * gained)
 
     return add_energy_gain
 

@@ -8,10 +8,10 @@ chunk.
 from typing import Any
 
 from granflow.engine.exact_sums import (
+    add_energy,
     build_list_shares,
     build_to_grid,
     carried,
-    energy_words,
 )
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
 from granflow.engine.force.pair_force import build_pair_force
@@ -182,15 +182,10 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def add_losses(chunk, shares, found, work):
-        losses, per_joule = control.losses[chunk], per_unit()[ENERGY]
+        per_joule = per_unit()[ENERGY]
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            low, high = energy_words(per_joule * found.losses[k])
-            losses[loss] += shares * low
-            losses[loss + loss_count] += shares * high
-        low_work, high_work = energy_words(per_joule * work)
-        losses[WALL_WORK] += shares * low_work
-        losses[WALL_WORK + loss_count] += shares * high_work
-        control.losses[chunk] = losses
+            add_energy(control.losses, chunk, loss, loss_count, shares, per_joule * found.losses[k])
+        add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, per_joule * work)
 
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):

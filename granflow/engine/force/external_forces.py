@@ -16,7 +16,7 @@ from typing import Any
 
 from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
-from granflow.engine.exact_sums import energy_words
+from granflow.engine.exact_sums import add_energy
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.state import State
@@ -77,8 +77,8 @@ def build_add_external_work(state: State) -> Any:
     def add_work(chunk, i, force, velocity, dt):
         power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
         # half of the work in a step, as energies are in units / SHARES
-        low, high = energy_words(ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power)
-        control.external_work[chunk] = control.external_work[chunk] + ti.Vector([low, high])
+        value = ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power
+        add_energy(control.external_work, chunk, 0, 1, 1, value)
 
     return add_work
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.exact_sums import build_list_shares, build_to_grid, energy_words
+from granflow.engine.exact_sums import add_energy, build_list_shares, build_to_grid
 from granflow.engine.force.pair_force import build_in_contact, build_sphere_kinematics, effective_value
 from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
@@ -174,9 +174,8 @@ def build_boundary_work(state: State) -> Any:
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
         rounded = to_grid(force, shift()[FORCE])
-        low, high = energy_words(per_unit()[ENERGY] * dt * rounded.dot(image_velocity(i, j, pose)))
-        work = list_shares(chunk, j) * ti.Vector([low, high])
-        control.boundary_work[chunk] = control.boundary_work[chunk] + work
+        work = per_unit()[ENERGY] * dt * rounded.dot(image_velocity(i, j, pose))
+        add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
 
     return add_boundary_work
 

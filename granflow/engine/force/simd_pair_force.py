@@ -7,7 +7,7 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-from granflow.engine.exact_sums import build_list_shares, build_to_grid, energy_words
+from granflow.engine.exact_sums import add_energy, build_list_shares, build_to_grid
 from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
@@ -410,10 +410,7 @@ def _build_scatter(state: State) -> Any:
     def add_losses(worker, chunk, j, entry):
         shares = list_shares(chunk, j)
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
-            low, high = energy_words(batch.losses[k][worker, entry])
-            control.losses[chunk][loss] = control.losses[chunk][loss] + shares * low
-            high_word = ti.static(loss + loss_count)  # an index that is not static crashes the kernel compiler
-            control.losses[chunk][high_word] = control.losses[chunk][high_word] + shares * high
+            add_energy(control.losses, chunk, loss, loss_count, shares, batch.losses[k][worker, entry])
 
     @ti.func
     def scatter(worker, chunk, end, first, last, pose, dt):

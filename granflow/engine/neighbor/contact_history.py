@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.exact_sums import build_list_shares, energy_words
+from granflow.engine.exact_sums import add_energy, build_list_shares
 from granflow.engine.force.structs import build_read_slots, build_slot_vector, member
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -97,15 +97,12 @@ def build_add_plastic_loss(state: State) -> Any:
     Writes:  losses
     """
     control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
-    per_unit = state.parameter("per_unit")
+    per_unit, loss_count = state.parameter("per_unit"), len(LOSSES)
 
     @ti.func
     def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            shares = list_shares(chunk, j)
-            low, high = energy_words(per_unit()[ENERGY] * energy_lost)
-            control.losses[chunk][PLASTIC] = control.losses[chunk][PLASTIC] + shares * low
-            high_word = ti.static(PLASTIC + len(LOSSES))  # an index that is not static crashes the kernel compiler
-            control.losses[chunk][high_word] = control.losses[chunk][high_word] + shares * high
+            value = per_unit()[ENERGY] * energy_lost
+            add_energy(control.losses, chunk, PLASTIC, loss_count, list_shares(chunk, j), value)
 
     return add_plastic_loss
