@@ -59,12 +59,12 @@ class TangentialLaw(Law):
 
 
 @dataclass(frozen=True)
-class RollingLaw(Law):
-    """A rolling model. Torques act on the first particle of a pair, the opposite torques on the second."""
+class TorqueLaw(Law):
+    """A model of torques on the first particle of a pair; the opposite torques act on the second."""
 
     @ti.func
     def torque(self, constants, contact, history):
-        """Rolling torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
@@ -77,8 +77,13 @@ class RollingLaw(Law):
 
 
 @dataclass(frozen=True)
-class TwistingLaw(Law):
-    """A twisting model. Torques about the normal act on the first particle of a pair, the opposite ones on the second.
+class RollingLaw(TorqueLaw):
+    """A rolling model."""
+
+
+@dataclass(frozen=True)
+class TwistingLaw(TorqueLaw):
+    """A twisting model, with torques about the normal.
 
     It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff` and
     `stiffness` are known.
@@ -88,16 +93,3 @@ class TwistingLaw(Law):
     def damped(self) -> bool:
         """Whether `torque` reads `normal_damping`."""
         return False
-
-    @ti.func
-    def torque(self, constants, contact, history):
-        """Twisting torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
-
-    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
-        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
-        raise NotImplementedError
-
-    @ti.func
-    def stored_energy(self, constants, contact, history):
-        """Recoverable energy [J]."""
-        return 0.0 * contact.stiffness

@@ -1,7 +1,7 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import ceil
 from typing import Any
 
@@ -203,7 +203,11 @@ class Engine:
         The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy budget
         that of ended ones.
         """
-        energy = sum(mechanical_energy(self.synchronized(MOTION), self._gravity))
+        return self._stored_energy(self.synchronized(MOTION))
+
+    def _stored_energy(self, arrays: Mapping[str, np.ndarray]) -> float:
+        """`stored_energy` with the fields MOTION at the time of the positions."""
+        energy = sum(mechanical_energy(arrays, self._gravity))
         if self._counts_contacts:
             energy += self._contact_energy() + ended_contacts_dissipation(self.state)
         return energy
@@ -216,9 +220,9 @@ class Engine:
         if self.energy_before_change is not None:
             return
         self._counts_contacts = self.timing.rebuild_count > 0
-        self.energy_before_change = self.stored_energy()
+        arrays = self.synchronized(MOTION)
+        self.energy_before_change = self._stored_energy(arrays)
         if self._started:
-            arrays = self.synchronized(MOTION)
             motion = {name: values for name, values in arrays.items() if name in ("velocity", "angular_velocity")}
             write_particles(self.state, np.arange(self.state.count), motion)
             self._started = False

@@ -43,10 +43,16 @@ def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
     return [(time, path) for time, path in found if path.exists()]
 
 
+def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
+    """Time [s] and file of the frame nearest to a time [s]; None if no frame is at that time."""
+    near = min(series, key=lambda each: abs(each[0] - time), default=None)
+    return near if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+
+
 def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
     """File of the given time [s] in another series of the same run."""
-    near = min(series, key=lambda each: abs(each[0] - time), default=None)
-    return near[1] if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
+    found = frame_at(series, time)
+    return found[1] if found else None
 
 
 def is_empty(path: Path) -> bool:

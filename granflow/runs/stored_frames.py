@@ -7,7 +7,7 @@ from typing import Generic, TypeVar, overload
 import numpy as np
 
 from granflow.fields import CONTACT_QUANTITIES
-from granflow.io.frame_reader import SAME_TIME, is_empty, listed_frames, read_mesh
+from granflow.io.frame_reader import frame_at, is_empty, listed_frames, read_mesh
 from granflow.io.vtu_mesh import VtuMesh
 
 T = TypeVar("T")
@@ -56,8 +56,8 @@ class Frames(Sequence[T], Generic[T]):
 
     def at(self, time: float) -> T | None:
         """The frame at `time` [s], within a relative tolerance of 1e-9; None if there is none."""
-        near = np.abs(self.times - time) <= SAME_TIME * max(abs(time), 1.0)
-        return self[int(np.flatnonzero(near)[0])] if near.any() else None
+        found = frame_at(self._files, time)
+        return self._read(*found) if found else None
 
     def __repr__(self) -> str:
         """Number of frames and range of times."""

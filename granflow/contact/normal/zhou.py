@@ -48,7 +48,7 @@ class Zhou(NormalLaw):
     angle:            bound theta on sqrt(K/M) dt, where K is the unloading tangent
     damping_ratio:    zeta of a viscous force 2 zeta sqrt(K M) times the overlap rate on the elastic branch, where K is
                       the Hertz tangent; 0: no viscous force
-    rest_damping:  the same of contacts that reload, where K is the unloading tangent; 0: none
+    rest_damping:     the same of contacts that reload, where K is the unloading tangent; 0: none
     has_inelastic:    whether a pair has the restitution 0, see `zhou_inelastic`
     """
 

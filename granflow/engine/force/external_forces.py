@@ -18,6 +18,7 @@ from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
 from granflow.engine.exact_sums import add_energy
 from granflow.engine.field_block import FieldBlock
+from granflow.engine.force.structs import number_at, vector_at
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -108,7 +109,7 @@ def _build_call(force: ExternalForce, first: int, values: Any) -> Any:
     """Device function (position, velocity, radius, mass, time): one force, with its parameters from `first` on."""
     function, parts, k = _device_function(force), [], first
     for name, width in force.layout:
-        parts.append((name, _number if width == 1 else _vector, k))
+        parts.append((name, number_at if width == 1 else vector_at, k))
         k += width
 
     @ti.func
@@ -125,16 +126,6 @@ def _device_function(force: ExternalForce) -> Any:
     """The function of a force as a device function, also if it is a Python function without decorator."""
     is_compiled = any(hasattr(force.function, f"_is_{name}_function") for name in ("taichi", "quadrants"))
     return force.function if is_compiled else ti.func(force.function)
-
-
-@ti.func
-def _number(values, k: ti.template()):
-    return values[k]
-
-
-@ti.func
-def _vector(values, k: ti.template()):
-    return ti.Vector([values[k], values[k + 1], values[k + 2]])
 
 
 @at_compile_time

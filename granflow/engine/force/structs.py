@@ -49,12 +49,14 @@ def build_constants(laws: ContactLaws) -> Any:
 
 
 @ti.func
-def _number(vector, k: ti.template()):
+def number_at(vector, k: ti.template()):
+    """Entry k of a vector or field."""
     return vector[k]
 
 
 @ti.func
-def _vector(vector, k: ti.template()):
+def vector_at(vector, k: ti.template()):
+    """Entries k to k + 2 of a vector or field, as a vector."""
     return ti.Vector([vector[k], vector[k + 1], vector[k + 2]])
 
 
@@ -62,7 +64,7 @@ def build_slot_history(laws: ContactLaws, slot: str) -> Any:
     """Device function (vector of components) -> struct of the history fields of a slot."""
     parts, count = [], 0
     for each in laws.history[slot]:
-        parts.append((each.name, _number if each.size == 1 else _vector, count))
+        parts.append((each.name, number_at if each.size == 1 else vector_at, count))
         count += each.size
 
     @ti.func

@@ -21,9 +21,9 @@ from granflow.observers.particle_selection import mobile_particles, selected, wa
 from granflow.particles.regions import frame_along
 from granflow.plan.plan import Plan
 from granflow.scene.schema.analysis import (
+    AnyMetric,
     CenterOfMassMetric,
     ContentMetric,
-    CoordinationMetric,
     FabricMetric,
     LaceyMetric,
     ProbeMetric,
@@ -44,17 +44,7 @@ def metric_meters(plan: Plan) -> dict[str, MetricMeter]:
     return {name: _metric_meter(plan, spec) for name, spec in plan.output.metrics.items()}
 
 
-def _metric_meter(
-    plan: Plan,
-    spec: LaceyMetric
-    | ReposeMetric
-    | FabricMetric
-    | CoordinationMetric
-    | ContentMetric
-    | CenterOfMassMetric
-    | SlidingMetric
-    | ProbeMetric,
-) -> MetricMeter:
+def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
     """Return the meter of one metric; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
         return _lacey_metric_meter(plan, spec)
