@@ -186,7 +186,7 @@ def model_keys(name):
         ("jkr", 12),
         pytest.param("jkr", 1, marks=pytest.mark.slow),
         pytest.param("capillary", 12, marks=pytest.mark.slow),
-        ("capillary", 1),
+        pytest.param("capillary", 1, marks=pytest.mark.slow),
     ],
 )
 def test_impacts_stick_below_the_sticking_velocity_and_lose_the_work_of_adhesion(taichi_f64, name, chunk_size):

@@ -92,7 +92,7 @@ def pair_forces(chunk_size, rolling):
     return force[:, :half], force[:, half:], column(snapshots, "torque"), column(snapshots, "velocity")
 
 
-@pytest.mark.parametrize("rolling", ["epsd", "cdt"])
+@pytest.mark.parametrize("rolling", ["epsd", pytest.param("cdt", marks=pytest.mark.slow)])
 def test_forces_on_both_partners_are_exactly_opposite(taichi_f64, rolling):
     """A pair within one chunk is computed once; a pair across two chunks of one particle is computed twice."""
     computed_twice, computed_once = pair_forces(1, rolling), pair_forces(512, rolling)
@@ -118,7 +118,9 @@ def bouncing_box(time_step, normal="zhou", rolling="epsd"):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("normal", "rolling"), [("zhou", "epsd"), ("zhou", "cdt"), ("hertz", "epsd")])
+@pytest.mark.parametrize(
+    ("normal", "rolling"), [("zhou", "epsd"), pytest.param("zhou", "cdt", marks=pytest.mark.slow), ("hertz", "epsd")]
+)
 def test_energy_error_is_of_first_order_in_the_time_step(taichi_f64, normal, rolling):
     """The error is of first order in the time step: an eighth of the step leaves an eighth of the error or less."""
     coarse, fine = (run_to_end(bouncing_box(step, normal, rolling))[0].totals for step in (4e-6, 5e-7))

@@ -83,8 +83,8 @@ def fingerprint(name, chunk_size, skin, threads, rebuild_steps, precision):
     ("name", "precision"),
     [
         ("walled", "f64"),
-        ("periodic", "f64"),
-        ("sheared", "f64"),
+        pytest.param("periodic", "f64", marks=pytest.mark.slow),
+        pytest.param("sheared", "f64", marks=pytest.mark.slow),
         pytest.param("walled", "mixed", marks=pytest.mark.slow),
         pytest.param("walled", "f32", marks=pytest.mark.slow),
     ],

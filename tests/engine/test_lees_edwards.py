@@ -110,7 +110,9 @@ def fingerprint(threads, precision):
     return [digest.hexdigest(), last.totals["boundary_work"], abs(last.totals["energy_error"]) < 5e-3]
 
 
-@pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
+@pytest.mark.parametrize(
+    "precision", ["f64", *(pytest.param(each, marks=pytest.mark.slow) for each in ("mixed", "f32"))]
+)
 def test_results_are_bit_identical_for_any_thread_count(precision):
     one, two = (in_subprocess(fingerprint, threads, precision) for threads in (1, 2))
     assert one == two

@@ -73,7 +73,8 @@ def rms_angular_velocity(snapshot):
 
 
 BEDS = [
-    *((rolling, "zhou", "auto") for rolling in ("none", "epsd", "cdt")),
+    ("cdt", "zhou", "auto"),
+    *(pytest.param(rolling, "zhou", "auto", marks=pytest.mark.slow) for rolling in ("none", "epsd")),
     *(pytest.param(rolling, "hertz", "auto", marks=pytest.mark.slow) for rolling in ("none", "epsd", "cdt")),
     pytest.param("cdt", "zhou", 1, marks=pytest.mark.slow),
 ]

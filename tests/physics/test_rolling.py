@@ -61,7 +61,7 @@ def test_sliding_ball_starts_to_roll_after_two_sevenths(taichi_f64):
         assert mu * GRAVITY * slip_end / speed == pytest.approx(2.0 / 7.0, rel=0.01)
 
 
-@pytest.mark.parametrize("rolling", ["epsd", "cdt"])
+@pytest.mark.parametrize("rolling", ["epsd", pytest.param("cdt", marks=pytest.mark.slow)])
 def test_rolling_friction_stops_a_ball_after_the_theoretical_distance(taichi_f64, rolling):
     """The torque mu_r R N decelerates it by 5/7 mu_r g: distance 7 v^2 / (10 mu_r g); mu_r = 0 keeps the velocity."""
     rolling_frictions, speed = np.array([0.05, 0.1, 0.2, 0.0]), 0.05

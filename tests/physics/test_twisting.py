@@ -39,7 +39,7 @@ LIMITS = {
 """Largest torque [N m], stiffness [N m/rad] and pair options of the models."""
 
 
-@pytest.mark.parametrize("model", LIMITS)
+@pytest.mark.parametrize("model", ["marshall", pytest.param("torsion_spring", marks=pytest.mark.slow)])
 def test_spinning_sphere_stops_after_the_theoretical_time(taichi_f64, model):
     """The constant torque T decelerates it by T/I: time I w / T, angle I w^2 / (2 T), dissipated energy I w^2 / 2."""
     limit, stiffness, pair = LIMITS[model]

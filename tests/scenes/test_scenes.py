@@ -11,8 +11,17 @@ SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))
 LONG = ("haff_cooling", "haff_periodic")
 TESTED_IN_PHYSICS = (
-    *(f"chung_ooi_{number}" for number in ("1", "2", "3", "3_elastic", "5", "6", "7", "8")),
-    "kharaz_2001_hertz",
+    *(f"chung_ooi_{number}" for number in ("1", "2", "3", "3_elastic", "4", "5", "6", "7", "8")),
+    *(
+        "kharaz_2001_hertz",
+        "wall_limit",
+        "rolling_friction",
+        "incline",
+        "stack_at_rest",
+        "bouncing_ball",
+        "mfix_bounce",
+    ),
+    *("restitution_linear", "restitution_hertz", "restitution_chrome_52100", "equivalent_spring"),
 )
 """Cases that tests/physics checks with smaller tolerances; as scenes they are slow tests."""
 DOSTA = tuple(f"dosta2024/{name}" for name in ("silo_large_orifice", "silo_small_orifice", "drum", "penetration"))
@@ -151,7 +160,7 @@ def test_two_spheres_satisfy_their_expectations(tmp_path, taichi_f64):
     assert unsatisfied(SCENES / "two_spheres.yaml", tmp_path) == []
 
 
-REDUCED_BUT_SLOW = ("dosta2024/penetration", "dosta2024/drum", "column_collapse")
+REDUCED_BUT_SLOW = ("dosta2024/penetration", "dosta2024/silo_large_orifice", "dosta2024/drum", "column_collapse")
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ BIN_COUNT = 44
 PERIOD_COUNT = 6  # number of evaluated periods at the end
 
 
+@pytest.mark.slow
 def test_reduced_surface_waves_satisfy_their_expectations(tmp_path, taichi_f64):
     small = (
         "materials.glass.young_modulus=5 MPa",

@@ -148,6 +148,7 @@ def single_precision_errors():
     return line.error("restitution").tolist()
 
 
+@pytest.mark.slow
 def test_single_precision_has_a_floor(lines):
     coarse, fine = in_subprocess(single_precision_errors)
     double = dict(zip(lines[0].steps, lines[0].error("restitution"), strict=True))
