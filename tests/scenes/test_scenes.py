@@ -98,8 +98,7 @@ REDUCED = {
         "stages.0.duration=0.2 s",
         "stages.1.max_duration=0.1 s",
         "stages.2.duration=0.3 s",
-        "expect=[{quantity: flow_count.outlet, between: [297, 300]}, "
-        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
+        "expect=[{quantity: flow_count.outlet, between: [297, 300]}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
     ),
     # A tenth of the width: M = 25.13 g. Two landings occur in 0.28 s: 32.0 mJ.
     "vibrated_bed": (
