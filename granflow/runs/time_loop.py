@@ -92,6 +92,7 @@ class TimeLoop:
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
         self.state.prepare()
         progress.begin(stage.name, self.engine.time, check_interval)
+        self.engine.set_stage(stage.name)
         progress.set_walls(self.engine)
         self.state.insertion.insert_due(self.engine)
         self.engine.refresh()
