@@ -195,6 +195,5 @@ def _viscous_restitution(zeta: float) -> float:
         root = np.sqrt(1.0 - zeta**2)
         release_angle = np.pi - np.arctan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)
         return float(np.exp(-zeta / root * release_angle))
-    root = np.sqrt(zeta**2 - 1.0)
-    ratio = (zeta + root) / (zeta - root)
-    return float(np.exp(-zeta / root * np.log(ratio)))
+    exponent = 2.0 * np.arccosh(zeta) / np.sqrt(1.0 - 1.0 / zeta / zeta)
+    return float(np.exp(-exponent))

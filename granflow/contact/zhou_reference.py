@@ -29,7 +29,7 @@ def reference_contact(
     k = float(theory.hertz_stiffness(constants.modulus_eff, contact.radius_eff))
     largest, e, y = history.overlap_max, history.restitution, history.recovery
     if constants.restitution == constants.limit_velocity == 0.0:
-        return reference_inelastic(contact, angle, k * overlap**1.5)
+        return reference_inelastic(contact, k * overlap**1.5)
     if restitution_at != "max_overlap" and largest == 0.0:
         e = _restitution(constants, rate)
     viscous = 0.0

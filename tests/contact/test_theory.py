@@ -154,6 +154,12 @@ def test_damping_ratio_gives_the_restitution_in_the_equation_of_motion(e, power)
     assert -done.y_events[0][0][1] == pytest.approx(e, rel=2e-6)
 
 
+@pytest.mark.parametrize("e", [1e-12, 1e-30, 1e-300])
+def test_damping_ratio_of_a_tiny_restitution_follows_the_overdamped_limit(e):
+    """x(t) decays with the rates 2 zeta and 1 / (2 zeta): the force is zero when x' = -v / (4 zeta^2)."""
+    assert theory.damping_ratio_for(e) == pytest.approx(0.5 / np.sqrt(e), rel=1e-4)
+
+
 @pytest.mark.parametrize("e", [0.0, -0.1, 1.1])
 def test_damping_ratio_rejects_unreachable_restitution(e):
     with pytest.raises(ValueError, match="any restitution in"):

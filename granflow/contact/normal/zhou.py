@@ -191,7 +191,7 @@ class Zhou(NormalLaw):
         history_new.recovery = ti.select(loading, 0.0, recovery)
         if ti.static(self.has_inelastic):
             inelastic = inelastic_pair(constants)
-            force, viscous_part, largest, state = inelastic_force(constants, contact, loading_force, history)
+            force, viscous_part, largest, state = inelastic_force(contact, loading_force, history)
             total, viscous = ti.select(inelastic, force, total), ti.select(inelastic, viscous_part, viscous)
             history_new.overlap_max = ti.select(inelastic, largest, history_new.overlap_max)
             history_new.recovery = ti.select(inelastic, state, history_new.recovery)
@@ -212,7 +212,7 @@ class Zhou(NormalLaw):
         energy = unloading_energy(k, history.overlap_max, e, y, contact.overlap)
         if ti.static(self.has_inelastic):
             if inelastic_pair(constants):
-                energy = support_energy(constants, contact, history)
+                energy = support_energy(contact, history)
         return energy
 
     @ti.func

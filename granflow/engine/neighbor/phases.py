@@ -85,22 +85,33 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
 
 def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     control, real, position_real = state.control, state.backend.real, state.backend.position_real
-    numbered = [*enumerate(phases)]
+    numbered, phase_count = [*enumerate(phases)], len(phases)
 
     @ti.func
     def next_task():
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
-    def run_phase(barrier: ti.template(), phase: ti.template(), rebuild):
-        """Tasks of one phase of one worker; returns 1 if the worker leaves the launch."""
-        task, task_count = next_task(), phase.count(rebuild)
+    def run_tasks(current, rebuild):
+        """Tasks of one phase of one worker."""
+        task, task_count = next_task(), 0
+        for number, phase in ti.static(numbered):
+            if number == current:
+                task_count = phase.count(rebuild)
         while task < task_count:
-            phase.body(task, rebuild)
+            for number, phase in ti.static(numbered):
+                if number == current:
+                    phase.body(task, rebuild)
             task = next_task()
+
+    @ti.func
+    def complete(current, barrier, rebuild):
+        """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the launch."""
         left = 0
         if arrive(control, barrier) == 1:
-            phase.serial(rebuild)
+            for number, phase in ti.static(numbered):
+                if number == current:
+                    phase.serial(rebuild)
             control.next_chunk[CACHE_LINE] = 0
             release(control, barrier)
         else:
@@ -118,10 +129,11 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
         for task in range(workers * CPU_STRIDE):
             if task % CPU_STRIDE == 0:
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                barrier_number, left = 0, 0
-                for number, phase in ti.static(numbered):
-                    if number >= first and left == 0 and control.running[0] == 1:
-                        barrier_number += 1
-                        left = run_phase(barrier_number, phase, rebuild)
+                # One loop with the phase chosen in it, not a sequence of phases: half the compile time.
+                current, left = first, 0
+                while current < phase_count and left == 0 and control.running[0] == 1:
+                    run_tasks(current, rebuild)
+                    left = complete(current, current - first + 1, rebuild)
+                    current += 1
 
     return rebuild_on_cpu
