@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         SlidingMetric,
     )
     from granflow.scene.schema.contact import Contact
+    from granflow.scene.schema.damping import Damping
     from granflow.scene.schema.domain import Domain, LeesEdwards
     from granflow.scene.schema.expect import Expectation
     from granflow.scene.schema.insertion import (
@@ -88,6 +89,7 @@ __all__ = [
     "CoordinationMetric",
     "Cylinder",
     "CylinderRegion",
+    "Damping",
     "Disc",
     "DiscFace",
     "DiscOutlet",
@@ -170,6 +172,7 @@ _LOCATIONS = {
     "CoordinationMetric": "granflow.scene.schema.analysis:CoordinationMetric",
     "Cylinder": "granflow.scene.schema.walls:Cylinder",
     "CylinderRegion": "granflow.scene.schema.insertion:CylinderRegion",
+    "Damping": "granflow.scene.schema.damping:Damping",
     "Disc": "granflow.scene.schema.walls:Disc",
     "DiscFace": "granflow.scene.schema.insertion:DiscFace",
     "DiscOutlet": "granflow.scene.schema.outlets:DiscOutlet",

@@ -138,6 +138,16 @@ _PARTICLE_FIELDS = {
             dtype="real", condition=lambda features: features.external_forces, sorted=False, displayed=False,
         ),
         FieldSpec(
+            "damping_force", "", "N", "part of the force from the damping of all motion", "vector", in_snapshot=False,
+            dtype="real", condition=lambda features: features.damping != "none" and features.energy_budget,
+            sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "damping_torque", "", "N m", "part of the torque from the damping of all motion", "vector",
+            in_snapshot=False, dtype="real", sorted=False, displayed=False,
+            condition=lambda features: features.damping != "none" and features.energy_budget and features.rotation,
+        ),
+        FieldSpec(
             "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
             in_snapshot=False, dtype="position", block="rebuild", sorted=False, displayed=False,
         ),
@@ -229,7 +239,7 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("plastic_dissipation", "", "J", "energy dissipated by unloading steeper than loading"),
         Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
         Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
-        Quantity("damping_dissipation", "", "J", "energy dissipated by viscous damping"),
+        Quantity("damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"),
         Quantity("wall_work", "", "J", "work of moving walls on the particles"),
         Quantity(
             "boundary_work",

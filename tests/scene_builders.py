@@ -46,6 +46,30 @@ def build_scene(groups, walls=None, pair=None, **parts):
     return Scene.of(SceneInput.model_validate(scene | parts))
 
 
+DASHPOTS = {
+    "contact": {
+        "normal": "hertz",
+        "tangential": {"law": "mindlin", "increments": "displacement", "unloading": "kept", "damping": 1.0},
+        "rolling": "sds",
+        "twisting": {"law": "marshall", "damping": 1.0},
+    },
+    "pair": {"restitution": 0.5, "friction": 0.4, "rolling_friction": 0.1, "rolling_damping": 0.3},
+    "damping": {"cundall": 0.1, "drag": 5.0},
+}
+"""Parts of a scene: models with dashpots in all slots, and damping of all motion."""
+
+SPRINGS = {
+    "contact": {
+        "normal": "zhou",
+        "tangential": {"law": "linear_history", "stiffness": 1e4},
+        "rolling": "viscous",
+        "twisting": {"law": "torsion_spring", "stiffness": 1e-4, "damping": 1e-9},
+    },
+    "pair": {"restitution": 0.0, "friction": 0.4, "rolling_dissipation": 1e-5, "twisting_friction": 1e-4},
+}
+"""Parts of a scene: inelastic contacts (restitution 0) and springs of given stiffness."""
+
+
 def plane(point, normal, material="glass", **more):
     """A wall that fills a half space."""
     return {"shape": "plane", "point": list(point), "normal": list(normal), "material": material, **more}

@@ -6,7 +6,7 @@ In addition to the members of `contact` for all models, see `law`, the struct ha
     normal_load          force [N] that presses the surfaces together: normal force without attraction
     stiffness            no-slip tangential stiffness [N/m]
     stiffness_ratio      ratio of the previous to the present stiffness
-    slip                 relative tangential displacement in this step [m]; tangential laws
+    slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s]; tangential laws
     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting laws
     rolling_rate         relative angular velocity [rad/s]; rolling and twisting laws
     inertia_eff          effective moment of inertia [kg m2]; rolling laws

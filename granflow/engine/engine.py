@@ -13,6 +13,7 @@ from granflow.engine.changes import REMOVED_BELOW, write_particles
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.force.contact_output import ContactOutput
 from granflow.engine.force.contact_statistics import ContactStatistics
+from granflow.engine.force.damping import write_damping
 from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
@@ -167,6 +168,10 @@ class Engine:
             pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
         self._walls_changed = True
+
+    def set_stage(self, stage: str) -> None:
+        """Set the stage, which may have damping; takes effect with the next forces."""
+        write_damping(self.state, stage)
 
     def refresh(self) -> None:
         """Rebuild the neighbor list and compute the forces after particles or walls were added or removed.

@@ -11,6 +11,7 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
+from granflow.engine.force.damping import build_add_damping_loss
 from granflow.engine.force.external_forces import build_add_external_work
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
@@ -27,13 +28,14 @@ def build_integrate(state: State) -> Any:
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
-             external_work; in a periodic box as `build_wrap`
+             external_work, losses; in a periodic box as `build_wrap`
     """
     particles, control, features = state.particles, state.control, state.plan.features
     mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
     step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
     wrap = build_wrap(state) if periodic else None
-    add_work = build_add_external_work(state)
+    add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
+    add_damping_loss = build_add_damping_loss(state) if counts_damping else None
 
     @ti.func
     def request_abort(code, i):
@@ -61,6 +63,8 @@ def build_integrate(state: State) -> Any:
                 particles.angular_velocity[i] = (
                     particles.angular_velocity[i] + mobility(i) * dt / inertia * particles.torque[i]
                 )
+            if ti.static(counts_damping):
+                add_damping_loss(chunk, i, dt)
             displacement = position - particles.position_at_rebuild[i]
             displacement_squared = displacement.dot(displacement)
             reach_squared = particles.reach[i] * particles.reach[i]

@@ -158,6 +158,7 @@ class Control(Fields):
     force_parameters:           parameters of all external forces
     force_clock:                since_time, time_step, steps since since_time of the next force evaluation, and the
                                 time by which velocities lag behind positions there [s]
+    damping:                    Cundall ratio and drag rate [1/s] of the present stage
     image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
     """
 
@@ -177,7 +178,9 @@ class Control(Fields):
         super().__init__(block.arrays(sum_arrays(plan), backend))
         external, parameters = plan.features.external_forces, parameter_count(plan.external_forces)
         self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
-        self.force_clock: Any = block.scalar(ti.f64, 4) if external else None
+        damped = plan.damping is not None
+        self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
+        self.damping: Any = block.scalar(ti.f64, 2) if damped else None
         sheared, position_real = plan.features.lees_edwards, backend.position_real
         self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
         self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None

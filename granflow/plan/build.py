@@ -11,6 +11,7 @@ from granflow.errors import SceneError
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.load import Scene
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
+from granflow.plan.damping import planned_damping, refuse_unresolved_drag
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import features_of, reasons_for
 from granflow.plan.forecast.build import forecasts_of
@@ -147,6 +148,7 @@ def _as_given(scene: Scene) -> dict[str, Any]:
         "gravity": scene.gravity,
         "max_overlap": scene.numerics.max_overlap,
         "stages": planned_stages(scene),
+        "damping": planned_damping(scene),
         "groups": planned_groups(scene),
         "size_classes": size_classes(scene),
         "solids": {name: solid(scene, name) for name in scene.materials},
@@ -164,7 +166,8 @@ def _sources(scene: Scene) -> dict[str, str]:
 
 
 def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
-    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start."""
+    """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast decay."""
+    refuse_unresolved_drag(scene, plan.longest_time_step)
     refuse_fast_start(scene, initial_speeds(scene), plan.time_step, plan.radius_min)
     refuse_fast_rotation(scene, initial_rotation_rates(scene), plan.time_step)
     limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)

@@ -43,6 +43,8 @@ class Features:
     outlets: bool
     size_classes: str
     """Number of size classes with separate cell grids, or "none"."""
+    damping: str
+    """Kinds of damping of all motion, "cundall", "drag" or both, or "none"."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -84,6 +86,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         fixed_particles=any(group.fixed for group in scene.particles.values()),
         outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
+        damping=" and ".join(_damping_kinds(scene)) or "none",
     )
 
 
@@ -125,6 +128,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "fixed_particles": _fixed_reason(scene, features),
         "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
+        "damping": _damping_reason(scene),
         "external_forces": "forces are added from Python only",
     }
     return tuple(
@@ -233,6 +237,19 @@ def _sizes_reason(scene: Scene) -> str:
     if ratio < CLASSES_FROM_RATIO:
         return f"the largest diameter is less than {CLASSES_FROM_RATIO:g} times the smallest"
     return f"the largest diameter is {ratio:.3g} times the smallest ({scene.where('particles')})"
+
+
+def _damping_kinds(scene: Scene) -> list[str]:
+    return [kind for kind in ("cundall", "drag") if getattr(scene.damping, kind, None) is not None]
+
+
+def _damping_reason(scene: Scene) -> str:
+    """Numbers of the damping and its stages."""
+    if scene.damping is None:
+        return "the scene has no damping"
+    numbers = [f"damping.{kind} is {getattr(scene.damping, kind):g}" for kind in _damping_kinds(scene)]
+    stages = "in all stages" if scene.damping.stages is None else f"in {', '.join(scene.damping.stages)}"
+    return f"{' and '.join(numbers)} {stages} ({scene.where('damping')})"
 
 
 def _material_reason(scene: Scene) -> str:

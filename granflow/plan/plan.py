@@ -31,6 +31,7 @@ from granflow.plan.capacities import (
     neighbors_per_particle,
     rounded_capacity,
 )
+from granflow.plan.damping import PlannedDamping
 from granflow.plan.external_forces import ExternalForce
 from granflow.plan.features import Features, Reason
 from granflow.plan.forecast.overlaps import Forecast
@@ -90,6 +91,8 @@ class Plan:
     features: Features
     reasons: tuple[Reason, ...]
     stages: tuple[PlannedStage, ...]
+    damping: PlannedDamping | None
+    """Damping of all motion, for settling."""
     groups: tuple[PlannedGroup, ...]
     size_classes: tuple[float, ...]
     """Largest radius [m] of each size class, in ascending order."""

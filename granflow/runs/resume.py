@@ -31,6 +31,7 @@ FEATURE_SWITCHES = (
         "one_material",
         "energy_budget",
         "wall_forces",
+        "damping",
     ),
     "fixed_particles",
 )

@@ -39,11 +39,13 @@ class RunState:
         self.plan = engine.plan
         self._original = original
         self._earlier, self._walls_changed = earlier, False
+        engine.set_stage(self.progress.stage)
 
     def prepare(self) -> None:
         """Continue with an engine for `plan`, which may have changed; compiles new features."""
         if self.plan is not self.engine.plan:
             self.engine = with_plan(self.engine, self.plan)
+            self.engine.set_stage(self.progress.stage)
         if self._walls_changed and self.progress.stage_times:
             self.progress.set_walls(self.engine)
         self._walls_changed = False
@@ -80,6 +82,7 @@ class RunState:
         progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         EngineCheckpoint(self.engine).load_state_dict(saved["engine"], motions)
+        engine.set_stage(progress.stage)
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():
             if name in saved["observers"]:

@@ -46,8 +46,12 @@ class TimeLoop:
         Raises StopRun if an observer ends the run, RunError on an abort.
         """
         for stage in self.engine.plan.stages:
-            if self.engine.time < end and not self.state.progress.has_ended(stage.name):
+            if self.state.progress.has_ended(stage.name):
+                continue
+            if self.engine.time < end:
                 self._run_stage(stage, end)
+            if not self.state.progress.has_ended(stage.name):
+                break  # at `end`, from which the time may differ by half a step
         if self.stages_ended and isfinite(end) and not within_stages:
             while self.state.progress.target is not None or not self.engine.reached(end):
                 self._advance_to(min(end, self._next_event()))
@@ -88,6 +92,7 @@ class TimeLoop:
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
         self.state.prepare()
         progress.begin(stage.name, self.engine.time, check_interval)
+        self.engine.set_stage(stage.name)
         progress.set_walls(self.engine)
         self.state.insertion.insert_due(self.engine)
         self.engine.refresh()

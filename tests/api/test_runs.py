@@ -73,3 +73,14 @@ def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
 def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
     with gf.Simulation(falling()) as simulation, pytest.raises(ValueError, match="until|duration"):
         simulation.run(**arguments)
+
+
+def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
+    """The end of a part of a run is reached to rounding, within the stage."""
+    stages = [{"name": name, "duration": 1e-3} for name in ("first", "second")]
+    with gf.Simulation(falling(run={}, stages=stages)) as simulation:
+        simulation.run(until=np.nextafter(3 * simulation.time_step, 1.0))
+        assert simulation.engine.step_count == 3
+        assert simulation.stage == "first"
+        simulation.run(until=1.5e-3)
+        assert simulation.stage == "second"

@@ -14,7 +14,7 @@ NUMBERS = (
     *("radius_eff", "mass_eff", "inertia_eff", "time_step", "longest_time_step", "overlap", "overlap_rate"),
     *("normal_load", "stiffness", "stiffness_ratio", "normal_damping"),
 )
-VECTORS = ("normal", "normal_half", "slip", "rolling_rate")
+VECTORS = ("normal", "normal_half", "slip", "slip_rate", "rolling_rate")
 """Members of the struct `contact` of tangential and rolling models."""
 
 

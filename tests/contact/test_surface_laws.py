@@ -48,7 +48,8 @@ def scales(units):
         "time_step": time, "longest_time_step": time, "overlap": units.meter, "overlap_rate": units.velocity,
         "normal_load": units.newton, "stiffness": units.newton / units.meter, "stiffness_ratio": 1.0,
         "normal_damping": units.newton / units.velocity, "torsion_stiffness": torque, "torsion_damping": torque * time,
-        "normal": 1.0, "normal_half": 1.0, "slip": units.meter, "rolling_rate": 1.0 / time,
+        "normal": 1.0, "normal_half": 1.0, "slip": units.meter, "slip_rate": units.velocity,
+        "rolling_rate": 1.0 / time,
         "force": units.newton, "torque": torque, "energy": torque,
     }  # fmt: skip
 
@@ -90,7 +91,9 @@ def paths(contacts, steps, seed=1, steady=False):
         "normal_damping": 0.1 * STIFFNESS * TIME_STEP,
         "normal_load": LOAD * (1.0 + varying * rng.uniform(-1.0, 1.0, shape)), "stiffness_ratio": before / stiffness,
     }  # fmt: skip
-    return numbers, {"normal": now, "normal_half": middle, "slip": slip, "rolling_rate": rate}
+    return numbers, {
+        "normal": now, "normal_half": middle, "slip": slip, "slip_rate": slip / TIME_STEP, "rolling_rate": rate,
+    }  # fmt: skip
 
 
 @every_model
@@ -123,8 +126,26 @@ def test_exchange_of_the_partners_changes_the_sign_exactly(taichi_f64, model):
 def test_a_contact_at_rest_has_no_force(taichi_f64, model):
     law, pair = law_and_pair(model)
     numbers, vectors = paths(contacts=20, steps=5, seed=3)
-    still = vectors | {"slip": 0.0 * vectors["slip"], "rolling_rate": 0.0 * vectors["rolling_rate"]}
+    still = vectors | {name: 0.0 * vectors[name] for name in ("slip", "slip_rate", "rolling_rate")}
     assert not evaluate_surface(law, pair, numbers, still).force.any()
+
+
+@every_model
+def test_evaluation_without_motion_changes_no_displacement(taichi_f64, model):
+    """After an insertion, the forces are evaluated again with a time step of 0 and the present rates."""
+    law, pair = law_and_pair(model)
+    numbers, vectors = paths(contacts=20, steps=2, seed=6, steady=True)
+    numbers = {name: np.broadcast_to(value, (20, 2)).copy() for name, value in numbers.items()}
+    for name in ("slip", "slip_rate", "rolling_rate"):
+        vectors[name][:] = 1e-3 * vectors[name][:, :1]  # below the limit
+    numbers["time_step"][:, 1], vectors["slip"][:, 1] = 0.0, 0.0
+    for name in ("stiffness", "normal_load"):
+        numbers[name][:, 1] = numbers[name][:, 0]
+    numbers["stiffness_ratio"][:, 1] = 1.0
+    found = evaluate_surface(law, pair, numbers, vectors)
+    assert np.isfinite(found.force).all()
+    np.testing.assert_allclose(found.stored[:, 1], found.stored[:, 0], rtol=1e-14)
+    np.testing.assert_allclose(found.loss[:, 1], 0.0, atol=1e-14 * found.stored.max())
 
 
 @every_limited_model

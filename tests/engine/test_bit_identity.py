@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, particle_group, plane, run_to_end
+from scene_builders import DASHPOTS, SPRINGS, box, build_scene, particle_group, plane, run_to_end
 from subprocess_runner import in_subprocess
 
 from granflow.engine import backend
@@ -77,6 +77,22 @@ def test_results_are_bit_identical_for_any_thread_count():
 def test_more_workers_than_pool_threads_are_bit_identical():
     """A worker that waits too long at a barrier leaves the launch and frees its thread, so no worker blocks it."""
     assert in_subprocess(fingerprint, MORE_THAN_POOL, True) == in_subprocess(fingerprint, 1, False)
+
+
+def models_fingerprint(threads, in_parallel):
+    """Digests of short runs with dashpots and with springs in all slots of the contact models."""
+    if in_parallel:
+        workers.SINGLE_WORKER_PARTICLES = 0
+    found = []
+    for models in (DASHPOTS, SPRINGS):
+        last, _ = run_to_end(bed(numerics={"chunk_size": 16}, **models), threads=threads)
+        assert np.mean(last.particles["angular_velocity"].any(axis=1)) > 0.5, "most particles had contacts"
+        found.append(digest_of(last))
+    return found
+
+
+def test_tangential_rolling_and_twisting_models_are_bit_identical_for_any_thread_count():
+    assert in_subprocess(models_fingerprint, 1, False) == in_subprocess(models_fingerprint, 2, True)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs the CPU affinity of Linux")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from resume.runs import complex_scene, files_of, states_of
-from scene_builders import SOFT
+from scene_builders import DASHPOTS, SOFT, SPRINGS
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
@@ -69,6 +69,19 @@ def test_restart_with_lees_edwards_box_is_bit_identical(tmp_path, taichi_f64):
     checkpoints = run_to_end(scene, tmp_path / "whole")
     resume_copy(scene, tmp_path / "whole", tmp_path / "again", checkpoints[2])
     assert_identical(tmp_path / "whole", tmp_path / "again")
+
+
+@pytest.mark.parametrize(
+    "models", [pytest.param(DASHPOTS, id="dashpots"), pytest.param(SPRINGS, id="springs", marks=pytest.mark.slow)]
+)
+def test_restart_is_bit_identical_for_tangential_rolling_and_twisting_models(tmp_path, taichi_f64, models):
+    scene = complex_scene(0.006, **models)
+    checkpoints = run_to_end(scene, tmp_path / "whole")
+    resume_copy(scene, tmp_path / "whole", tmp_path / "again", checkpoints[4])
+    assert_identical(tmp_path / "whole", tmp_path / "again")
+    losses = read_checkpoint(checkpoints[-1]).saved["engine"]["energy_budget"]["losses"]
+    _, friction, rolling, damping, _ = exact_totals(losses, 1.0)
+    assert friction and rolling and damping
 
 
 SPRING = {"stiffness": {"reference_velocity": 1.0}}

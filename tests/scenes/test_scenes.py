@@ -94,8 +94,10 @@ REDUCED = {
         "expect=[{quantity: gravitational_energy, between: [0.125 mJ, 0.190 mJ]}, "
         "{quantity: energy_error, between: [-5e-3, 5e-3]}]",
     ),
-    # The outlet is as wide as the bed is high, so the flow is not steady and Beverloo's law does not apply. The
-    # expectation is that all particles flow out.
+    # The outlet is as wide as the bed is high, so the flow is not steady and Beverloo's law does not apply. Nearly all
+    # particles flow out. A sphere without rolling friction that rolls around the funnel does not descend: its path
+    # oscillates in height, as in a vertical cylinder (see tests/physics/test_rest.py). With other seeds, one or two of
+    # 300 particles are still in the funnel after 0.3 s, with and without rest damping.
     "hopper": (
         "particles.beads.count=300",
         "materials.glass.young_modulus=10 MPa",
@@ -105,8 +107,7 @@ REDUCED = {
         "stages.0.duration=0.2 s",
         "stages.1.max_duration=0.1 s",
         "stages.2.duration=0.3 s",
-        "expect=[{quantity: flow_count.outlet, equals: 300, tolerance: 0}, "
-        "{quantity: energy_error, between: [-2e-3, 2e-3]}]",
+        "expect=[{quantity: flow_count.outlet, between: [297, 300]}, {quantity: energy_error, between: [-2e-3, 2e-3]}]",
     ),
     # A tenth of the width: M = 25.13 g. Two landings occur in 0.28 s: 32.0 mJ.
     "vibrated_bed": (

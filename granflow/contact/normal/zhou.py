@@ -33,6 +33,9 @@ from granflow.contact.zhou_unloading import (
 )
 from granflow.device_functions import ti
 
+REST_DAMPING = 0.1
+"""Default of the option `rest_damping`."""
+
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 
@@ -289,7 +292,7 @@ MODEL = ContactModel(
             *("0.1", "number", "a damping ratio"),
             at_least=0,
             at_most=0.5,
-            default=0.0,
+            default=REST_DAMPING,
         ),
     },
     restitution="number or fit",

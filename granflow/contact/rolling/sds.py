@@ -51,13 +51,13 @@ class Sds(Epsd):
         """Torque of spring and dashpot [N m]."""
         spring_torque, history_new, energy_lost = self.spring_torque(constants, contact, history)
         rate, radius = contact.rolling_rate, contact.radius_eff
-        step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)
+        tangential_rate = rate - rate.dot(contact.normal) * contact.normal
         spring = contact.stiffness * radius * radius
         limit = BELOW_LIMIT * constants.rolling_friction * radius * contact.normal_load
-        damping = 2.0 * constants.rolling_damping * ti.sqrt(contact.inertia_eff * spring) / contact.time_step
-        dashpot = ti.select(spring_torque.dot(spring_torque) < limit * limit, -damping, 0.0) * step
+        damping = 2.0 * constants.rolling_damping * ti.sqrt(contact.inertia_eff * spring)
+        dashpot = ti.select(spring_torque.dot(spring_torque) < limit * limit, -damping, 0.0) * tangential_rate
         if ti.static(self.energy_budget):
-            energy_lost += -0.5 * (history.dashpot + dashpot).dot(step)
+            energy_lost += -0.5 * contact.time_step * (history.dashpot + dashpot).dot(tangential_rate)
             history_new.dashpot = dashpot
         return spring_torque + dashpot, history_new, energy_lost
 

@@ -126,7 +126,7 @@ class Mindlin(TangentialLaw):
         force, dashpot_loss = 0.0 * rotated, 0.0 * ratio
         if ti.static(self.damped):
             damping = ti.select(rotated.dot(rotated) > 0.0, constants.damping * contact.normal_damping, 0.0)
-            dashpot = -(damping / contact.time_step) * contact.slip
+            dashpot = -damping * contact.slip_rate
             displacement = factor * rotated + contact.slip
             trial = dashpot - stiffness * displacement
             share = limit_ratio(trial, limit)
@@ -158,7 +158,7 @@ class Mindlin(TangentialLaw):
             force, displacement = reference_spring(stiffness, limit, carried, contact.slip)
             return force, {"displacement": displacement}
         damping = self.damping * contact.normal_damping if contact.history.displacement.any() else 0.0
-        dashpot = -damping * contact.slip / contact.time_step
+        dashpot = -damping * contact.slip_rate
         displacement = carried + contact.slip
         force = dashpot - stiffness * displacement
         size = float(np.sqrt(force @ force))

@@ -27,11 +27,11 @@ from granflow.plan.sum_units import ENERGY
 
 
 def write_force_inputs(state: State, step: int, velocities_lag: bool = True) -> None:
-    """Write parameters and clock of the external forces, for forces after step number `step`; nothing without any.
+    """Write clock and parameters of external forces and damping, for forces after step number `step`, if any.
 
     `velocities_lag`: velocities are half a step behind the positions.
     """
-    if not state.plan.features.external_forces:
+    if state.control.force_clock is None:
         return
     control, clock = state.control, state.clock.state_dict()
     lag = 0.5 * clock["time_step"] if velocities_lag else 0.0

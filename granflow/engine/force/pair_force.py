@@ -71,6 +71,12 @@ def effective_value(one, other):
     return one * other / (one + other)
 
 
+@ti.func
+def normal_time_step(dt, longest_time_step):
+    """Time step [s] of normal models: that of the run if the one of this force evaluation is 0, without motion."""
+    return ti.select(dt > 0.0, dt, longest_time_step)
+
+
 def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
     """Device function (constants, contact, history): normal force of one contact, cohesion included.
 
@@ -105,24 +111,28 @@ def build_surface_contact(plan: Plan) -> Any:
     """Device function: struct `contact` of the surface models, see `granflow.contact.surface_law`.
 
     Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
+    The time step is 0 in a force evaluation without motion, so that displacements do not change.
     """
     law, laws = plan.laws.normal, plan.laws
 
     @ti.func
-    def surface_contact(constants, contact, load, history, bodies, kinematics, angular_velocities, longest_time_step):
+    def surface_contact(
+        constants, contact, load, history, bodies, kinematics, angular_velocities, dt, longest_time_step
+    ):
         ratio = 0.0 * contact.overlap + 1.0  # of the previous to the present stiffness
         if ti.static(law.tangential_stiffness_grows):
-            overlap_before = contact.overlap - contact.time_step * kinematics.overlap_rate_half
+            overlap_before = contact.overlap - dt * kinematics.overlap_rate_half
             ratio = ti.sqrt(ti.max(overlap_before, 0.0) / contact.overlap)
         normal_damping = 0.0 * contact.overlap
         if ti.static(len(laws.damped_slots) > 0):
             normal_damping = law.damping(constants.normal, contact, history.normal)
         rotation = kinematics.arm * angular_velocities.first + kinematics.arm_partner * angular_velocities.partner
+        slip_rate = kinematics.velocity_tangential - rotation.cross(kinematics.normal)
         return ti.Struct(
             radius_eff=contact.radius_eff,
             mass_eff=contact.mass_eff,
             inertia_eff=bodies.inertia_eff,
-            time_step=contact.time_step,
+            time_step=dt,
             longest_time_step=longest_time_step,
             overlap=contact.overlap,
             overlap_rate=contact.overlap_rate,
@@ -132,7 +142,8 @@ def build_surface_contact(plan: Plan) -> Any:
             stiffness=law.tangential_stiffness(constants.normal, contact, history.normal),
             stiffness_ratio=ratio,
             normal_damping=normal_damping,
-            slip=contact.time_step * (kinematics.velocity_tangential - rotation.cross(kinematics.normal)),
+            slip=dt * slip_rate,
+            slip_rate=slip_rate,
             rolling_rate=angular_velocities.first - angular_velocities.partner,
         )
 
@@ -160,7 +171,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         contact = ti.Struct(
             radius_eff=bodies.radius_eff,
             mass_eff=bodies.mass_eff,
-            time_step=dt,
+            time_step=normal_time_step(dt, longest_time_step),
             overlap=kinematics.overlap,
             overlap_rate=kinematics.overlap_rate,
         )
@@ -170,7 +181,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
         friction_loss, rolling_loss = 0.0 * load, 0.0 * load
         if ti.static(features.rotation):
             surface = surface_contact(
-                constants, contact, load, history_new, bodies, kinematics, angular_velocities, longest_time_step
+                constants, contact, load, history_new, bodies, kinematics, angular_velocities, dt, longest_time_step
             )
             if ti.static(laws.has_tangential):
                 tangential_force, tangential_history, friction_loss = tangential.force(

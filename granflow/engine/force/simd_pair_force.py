@@ -14,6 +14,7 @@ from granflow.engine.force.pair_force import (
     build_pair_force,
     build_sphere_kinematics,
     effective_value,
+    normal_time_step,
 )
 from granflow.engine.force.pair_kinematics import (
     build_boundary_work,
@@ -256,7 +257,7 @@ def _build_prepare(state: State) -> Any:
     plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
     pair_constants = build_pair_constants(state)
     history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
-    contact_mass = build_contact_mass(state)
+    contact_mass, longest_time_step = build_contact_mass(state), state.parameter("longest_time_step")
 
     @ti.func
     def prepare(worker, entry, i, j, velocity_rel, vector, dt):
@@ -268,7 +269,7 @@ def _build_prepare(state: State) -> Any:
         contact = ti.Struct(
             radius_eff=effective_value(radius, radius_partner),
             mass_eff=effective_value(contact_mass(i), contact_mass(j)),
-            time_step=dt,
+            time_step=normal_time_step(dt, longest_time_step()),
             overlap=radius + radius_partner - distance,
             overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
         )

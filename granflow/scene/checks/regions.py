@@ -91,5 +91,9 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
         "flow meters": list(scene.output.flow_meters),
     }
     found = " and ".join(f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names)
+    if scene.damping is not None:
+        yield Fault(
+            ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
+        )
     if found:
         yield whole(("domain", "lees_edwards"), f"cannot be combined with {found}: the periodic images move")

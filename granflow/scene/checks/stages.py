@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
+from granflow.scene.schema.damping import Damping
 from granflow.scene.schema.faults import Fault, missing
 from granflow.scene.schema.motions import FreeWall, MotionSpec, Servo, Vibration
 from granflow.scene.schema.scene import SceneInput
@@ -11,7 +12,7 @@ from granflow.scene.schema.walls import Plane, Wall
 
 
 def names(parts: PartialScene) -> Iterator[Fault]:
-    """Unique stage names, and references of walls and their motions to existing stages only.
+    """Unique stage names, and references of walls, motions and damping to existing stages only.
 
     A scene without stages has the single stage "run".
     """
@@ -21,13 +22,14 @@ def names(parts: PartialScene) -> Iterator[Fault]:
         if name in known[:index]:
             reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
             yield Fault(("stages", index, "name"), reason)
-    for path, part in [*_walls(parts.scene), *_motions(parts.scene)]:
+    for path, part in [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]:
         for index, name in enumerate(part.stages or ()):
             location = (*path, "stages", index)
             if name not in known and stages:
                 yield unknown(location, name, known, "stage")
             elif name not in known:
-                yield Fault(location, "the scene has no stages; give times instead of stages")
+                remedy = "remove stages" if path == ("damping",) else "give times instead of stages"
+                yield Fault(location, f"the scene has no stages; {remedy}")
 
 
 def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
@@ -39,6 +41,12 @@ def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
     """Each motion of a wall with its key path."""
     for path, wall in _walls(scene):
         yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
+
+
+def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:
+    """The damping with its key path, if there is one."""
+    if scene.damping is not None:
+        yield ("damping",), scene.damping
 
 
 def duration(parts: PartialScene) -> Iterator[Fault]:

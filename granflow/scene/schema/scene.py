@@ -12,6 +12,7 @@ from pydantic import Field, PrivateAttr
 from granflow.scene.document import Document
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.contact import Contact
+from granflow.scene.schema.damping import Damping
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.expect import Expectation
 from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text
@@ -47,6 +48,9 @@ class SceneInput(Model):
         description="contact properties of material pairs; each key is two names joined by a hyphen"
     )
     contact: Contact = Field(description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}")
+    damping: Damping | None = Field(
+        None, description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
+    )
     walls: dict[Name, AnyWall] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(
