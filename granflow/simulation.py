@@ -47,10 +47,12 @@ class Simulation:
     arch:           architecture, "cpu" by default
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
-    out:            directory for the files of the scene's output block; without it no files are written
+    out:            directory for the files of the scene's output block; without it no files are written. A new run
+                    replaces an earlier one in the directory after its first frame
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
-    particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted
+    particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted.
+                    `simulation.particles.add` takes arrays with fewer arguments
     resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which to
                     continue; forces and observers from Python must be given again, with the same names
     allow_changes:  resume even if the scene has changes that are not permitted
