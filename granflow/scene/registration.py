@@ -16,7 +16,7 @@ def register_contact_model(model: ContactModel) -> None:
     """Register a contact model, so that scenes can select it like a built-in one.
 
     Call it before a scene with the model is read, also in a program that resumes a run. Scenes that exist are not
-    affected. The guide "Contact models of your own" has complete models.
+    affected. The guide "Simulations in Python" lists its functions.
 
         gf.register_contact_model(ContactModel(MyCohesion, "what it does, in one sentence"))
 
