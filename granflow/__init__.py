@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         LatticeInsertion,
         PackInsertion,
         PositionsInsertion,
+        PythonInsertion,
         RainInsertion,
         RectangleFace,
     )
@@ -122,6 +123,7 @@ __all__ = [
     "Plan",
     "Plane",
     "PositionsInsertion",
+    "PythonInsertion",
     "RainInsertion",
     "Rectangle",
     "RectangleFace",
@@ -205,6 +207,7 @@ _LOCATIONS = {
     "Plan": "granflow.plan.plan:Plan",
     "Plane": "granflow.scene.schema.walls:Plane",
     "PositionsInsertion": "granflow.scene.schema.insertion:PositionsInsertion",
+    "PythonInsertion": "granflow.scene.schema.insertion:PythonInsertion",
     "RainInsertion": "granflow.scene.schema.insertion:RainInsertion",
     "Rectangle": "granflow.scene.schema.walls:Rectangle",
     "RectangleFace": "granflow.scene.schema.insertion:RectangleFace",

@@ -155,6 +155,13 @@ class Scene(SceneInput):
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
 
 
+def refuse_other_object(scene: object) -> None:
+    """Raise GranflowError for an object that is not a scene."""
+    if not isinstance(scene, Scene):
+        remedy = "granflow.Scene.from_dict" if isinstance(scene, Mapping) else "granflow.load_scene"
+        raise GranflowError(f"scene is a {type(scene).__name__}; make a scene of it with {remedy}.")
+
+
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     """Read the scene in a YAML file and resolve it.
 

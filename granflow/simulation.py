@@ -12,7 +12,7 @@ from granflow.io.checkpoint import Checkpoint, checkpoint_at
 from granflow.live.forces import Forces, ParticleForce, plan_with_forces
 from granflow.live.particles import LiveParticles
 from granflow.live.walls import LiveWalls
-from granflow.load import Scene
+from granflow.load import Scene, refuse_other_object
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
 from granflow.particles.particle_data import ParticleData
@@ -32,7 +32,7 @@ from granflow.runs.session import RunSession
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import WallClock, collect_result
 from granflow.snapshot import Snapshot
-from granflow.visible_text import visible_line
+from granflow.visible_text import html_table, readable, visible_line
 
 
 class Simulation:
@@ -47,10 +47,12 @@ class Simulation:
     arch:           architecture, "cpu" by default
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
-    out:            directory for the files of the scene's output block; without it no files are written
+    out:            directory for the files of the scene's output block; without it no files are written. A new run
+                    replaces an earlier one in the directory after its first frame
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
-    particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted
+    particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted.
+                    `simulation.particles.add` takes arrays with fewer arguments
     resume:         checkpoint, its file, or directory of the run whose newest checkpoint is used, from which to
                     continue; forces and observers from Python must be given again, with the same names
     allow_changes:  resume even if the scene has changes that are not permitted
@@ -83,6 +85,7 @@ class Simulation:
         forces: Sequence[ParticleForce] = (),
     ) -> None:
         wall_clock = WallClock()
+        refuse_other_object(scene)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
@@ -183,6 +186,8 @@ class Simulation:
 
     def step(self, count: int = 1) -> None:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
+        if count < 0 or count != int(count):
+            raise ValueError(f"count is {count}, but must be a whole number of at least 0.")
         wanted, goes_on = self.engine.step_count + count, True
         with self._session.running():
             while goes_on and (remaining := wanted - self.engine.step_count) > 0:
@@ -274,3 +279,18 @@ class Simulation:
         stage = f", stage {self.stage}" if self.stage else ""
         state = f"{self.time:.4g} s, step {self.engine.step_count}{stage}"
         return f'<Simulation "{visible_line(self.plan.title)}": {state}>'
+
+    def _repr_html_(self) -> str:
+        """Table for notebooks: progress, contents, and the directory of the files."""
+        present = [name for name, wall in self.walls.items() if wall.is_present]
+        rows = [
+            ("time", f"{self.time:.6g} s"),
+            ("step", readable(self.engine.step_count)),
+            ("time step", f"{self.time_step:.4g} s"),
+            ("stage", self.stage),
+            ("particles", readable(len(self.particles))),
+            ("walls", ", ".join(present) or "none"),
+            ("forces", ", ".join(force.name for force in self.forces) or "none"),
+            ("files", str(self.files.path or "none")),
+        ]
+        return html_table(self.plan.title, rows)

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, TOTAL_QUANTITIES
+from granflow.visible_text import html_table, numbered, readable
+
 
 def _read_only(values: np.ndarray) -> np.ndarray:
     """Read-only view of an array."""
@@ -19,6 +22,13 @@ def _read_only(values: np.ndarray) -> np.ndarray:
 def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
     """Read-only mapping of read-only views."""
     return MappingProxyType({name: _read_only(values) for name, values in arrays.items()})
+
+
+def _range(values: np.ndarray) -> str:
+    """Smallest and largest number of an array; empty for an empty array or one of texts."""
+    if not values.size or values.dtype.kind not in "fiu":
+        return ""
+    return f", {values.min():.4g} to {values.max():.4g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +67,10 @@ class Snapshot:
     """State of a simulation at one time. `granflow.fields` defines keys, shapes and units.
 
     time:       simulated time [s]
-    step:       number of completed steps
+    step:       number of completed steps; 0 in a frame from a file, which does not contain it
     stage:      name of the stage
-    particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are requested
+    particles:  requested arrays (n,) or (n, 3) of `PARTICLE_QUANTITIES`, ordered by id; empty if none are requested.
+                `material` and `group` are indices into those of the scene
     contacts:   arrays (c,) or (c, 3) of `CONTACT_QUANTITIES`, one entry per contact; None if not requested
     walls:      pose by name, in the order of the scene; empty if not requested
     totals:     numbers of `TOTAL_QUANTITIES`
@@ -102,8 +113,26 @@ class Snapshot:
         arrays = f" with {', '.join(self.particles)}" if self.particles else ""
         contacts = "" if self.contacts is None else f", {len(next(iter(self.contacts.values()), ()))} contacts"
         walls = f", {len(self.walls)} walls" if self.walls else ""
+        step = f", step {self.step}" if self.step else ""
         stage = f", stage {self.stage}" if self.stage else ""
-        return f"<Snapshot at {self.time:.4g} s, step {self.step}{stage}: {count} particles{arrays}{contacts}{walls}>"
+        return f"<Snapshot at {self.time:.4g} s{step}{stage}: {count} particles{arrays}{contacts}{walls}>"
+
+    def _repr_html_(self) -> str:
+        """Table for notebooks: each array with its shape, range and unit, and the totals."""
+        rows = [("time", f"{self.time:.6g} s"), ("step", readable(self.step)), ("stage", self.stage)]
+        for kind, arrays, known in (
+            ("particles", self.particles, PARTICLE_QUANTITIES),
+            ("contacts", self.contacts or {}, CONTACT_QUANTITIES),
+        ):
+            for name, values in arrays.items():
+                unit = known[name].unit if name in known else "1"
+                rows.append((f"{kind}[{name!r}]", f"{values.shape}{_range(values)}{f' {unit}' * (unit != '1')}"))
+        rows.append(("walls", ", ".join(self.walls) or "none"))
+        for name, number in self.totals.items():
+            unit = TOTAL_QUANTITIES[name].unit if name in TOTAL_QUANTITIES else "1"
+            rows.append((f"totals[{name!r}]", f"{readable(number)}{f' {unit}' * (unit != '1')}"))
+        count = max((len(values) for values in self.particles.values()), default=0)
+        return html_table(f"Snapshot of {numbered(count, 'particle')}", rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; worker processes return snapshots with plain dictionaries.

@@ -85,6 +85,8 @@ class Law(DeviceObject):
     """Publication."""
     limits: ClassVar[str]
     """Limitations of the model, in one sentence."""
+    required: ClassVar[tuple[str, ...]] = ()
+    """Functions that every model of a slot defines."""
     constant_names: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
@@ -132,6 +134,8 @@ class NormalLaw(Law):
     effective radius [m] and mass [kg].
     """
 
+    required = ("force", "stored_energy", "phase_durations", "unloading_stiffness")
+    constant_names: ClassVar[tuple[str, ...]] = ("modulus_eff", "shear_modulus_eff")
     tangential_stiffness_grows: ClassVar[bool] = True
     """True if the tangential stiffness is proportional to the square root of the overlap."""
     branch_free: ClassVar[bool] = True
@@ -141,6 +145,14 @@ class NormalLaw(Law):
     """True for a model with `damping`."""
     limits_restitution: ClassVar[bool] = False
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`: the effective moduli [Pa], by default followed by pair options.
+
+        Raises ValueError for a pair that the model does not support.
+        """
+        options = (pair.options[name] for name in self.constant_names[2:])
+        return pair.modulus_eff, pair.shear_modulus_eff, *options
 
     @property
     def unloading_angle(self) -> float:
@@ -282,6 +294,7 @@ class CohesionLaw(Law):
     minus its `range`; its first history field is above 0 as long as the contact keeps its history without overlap.
     """
 
+    required = ("force",)
     at_distance: ClassVar[bool] = False
     """True for a model that acts without overlap, such as a liquid bridge."""
 

@@ -60,6 +60,7 @@ def _problems(model: ContactModel) -> Iterator[str]:
         yield "a name has lowercase letters, digits and _, and is not none"
     elif model.name in _MODELS[model.slot]:
         yield f"a {model.slot} model of this name exists"
+    yield from _undefined(model)
     known = pair_options()
     for option in model.pair_options:
         if not _NAME.fullmatch(option.key) or option.key in ("restitution", "model"):
@@ -68,6 +69,17 @@ def _problems(model: ContactModel) -> Iterator[str]:
             yield f"the key {option.key} of pairs exists with another meaning"
         elif option.amount.default is not None:
             yield f"the key {option.key} of pairs has a default; a physical property has none"
+
+
+def _undefined(model: ContactModel) -> Iterator[str]:
+    """Functions and constants that the interface of the slot requires and the law does not define."""
+    base = SLOTS[model.slot]
+    undefined = [name for name in base.required if getattr(model.law, name) is getattr(base, name)]
+    if undefined:
+        yield f"its law must define {', '.join(undefined)}, see {base.__module__}.{base.__name__}"
+    moduli = ("modulus_eff", "shear_modulus_eff")
+    if model.slot == "normal" and model.law.constant_names[:2] != moduli:
+        yield f"constant_names of a normal model begins with {' and '.join(moduli)}"
 
 
 _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)

@@ -31,6 +31,8 @@ SurfaceState: TypeAlias = SimpleNamespace
 class TangentialLaw(Law):
     """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
 
+    required = ("force", "present_force", "limit")
+
     @property
     def damped(self) -> bool:
         """Whether `force` reads `normal_damping`."""
@@ -61,6 +63,8 @@ class TangentialLaw(Law):
 @dataclass(frozen=True)
 class TorqueLaw(Law):
     """A model of torques on the first particle of a pair; the opposite torques act on the second."""
+
+    required = ("torque",)
 
     @ti.func
     def torque(self, constants, contact, history):

@@ -45,7 +45,7 @@ def totals_of(
         "rotational_energy": energies[1],
         "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
         "overlap_largest": measured["overlap_largest"],
-        "coordination_number": float(mobile @ arrays["coordination_number"]) / max(mobile.sum(), 1.0),
+        "coordination_number": float(mobile @ arrays["coordination_number"] / max(mobile.sum(), 1.0)),
     }
     if plan.features.walls:
         totals["wall_contact_count"] = float(arrays["wall_contact_count"].sum())

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
+from inspect import isfunction, signature
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from granflow.errors import FunctionError, GranflowError
 from granflow.plan.external_forces import ExternalForce, ParameterValue
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
+
+ARGUMENTS = ("position", "velocity", "radius", "mass", "time", "parameters")
+"""Arguments of the function of a force, in order."""
 
 
 class ForceParameters(MutableMapping[str, ParameterValue]):
@@ -94,6 +98,7 @@ class ParticleForce:
             raise GranflowError(f"ParticleForce requires a function, not {function!r}.")
         self.function = function
         self.name: str = name or str(getattr(function, "__name__", type(function).__name__))
+        _refuse_other_arguments(self.name, function)
         self.parameters = ForceParameters(f"force {self.name}", parameters or {})
 
     @property
@@ -104,6 +109,15 @@ class ParticleForce:
 
     def __repr__(self) -> str:
         return f"ParticleForce({self.name}, {self.parameters!r})"
+
+
+def _refuse_other_arguments(name: str, function: Callable[..., Any]) -> None:
+    """Raise GranflowError for a Python function that does not take ARGUMENTS."""
+    if not isfunction(function):
+        return
+    given = list(signature(function).parameters)
+    if len(given) != len(ARGUMENTS):
+        raise GranflowError(f"force {name} takes ({', '.join(given)}), but must take ({', '.join(ARGUMENTS)}).")
 
 
 class Forces(Sequence[ParticleForce]):
@@ -170,7 +184,8 @@ def check_compiled(force: ParticleForce, backend: Backend, time: float) -> None:
         compile_alone(backend, force.planned)
     except Exception as error:
         reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
-        raise FunctionError(f"The force {force.name} at {time:.6g} s cannot be compiled: {reason[0]}") from error
+        text = reason[0].rstrip(".")
+        raise FunctionError(f"The force {force.name} at {time:.6g} s cannot be compiled: {text}.") from error
 
 
 def _with_forces(plan: Plan, forces: Sequence[ParticleForce]) -> Plan:

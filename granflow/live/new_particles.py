@@ -41,6 +41,19 @@ def particle_data(
     )
 
 
+def refuse_without_pair(plan: Plan, new: ParticleData, present: np.ndarray) -> None:
+    """Raise GranflowError if new particles can touch others without constants of the pair; `present`: group numbers."""
+    for number in np.unique(new.group):
+        own = plan.groups[number]
+        for other in [plan.groups[each] for each in {*present, *new.group[1:]}]:
+            first, second = own.material, other.material
+            if not (own.fixed and other.fixed) and (first, second) not in plan.pair_materials:
+                raise GranflowError(
+                    f"particles of {first} and {second} can touch each other now, but the scene has no pair "
+                    f"{first}-{second}; add it to pairs."
+                )
+
+
 def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
     """Number of the group: given, or the first one of the material, or the only one."""
     names, materials = [each.name for each in plan.groups], [each.material for each in plan.groups]

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.engine.changes import present_indices, remove_particles, write_particles
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
-from granflow.live.new_particles import particle_data
+from granflow.live.new_particles import particle_data, refuse_without_pair
 from granflow.live.particle_array import ParticleArray
 from granflow.live.values import finite, in_domain, named
 from granflow.runs.run_state import RunState
@@ -26,8 +26,8 @@ class LiveParticles:
 
     Reading copies from the device, writing copies to it; see `ParticleArray`. No array is a view of device memory,
     because particles are sorted by cell there. A change takes effect at once for later reads; neighbor lists and forces
-    are computed again before the next step or snapshot, once for all changes. The change of energy counts as
-    inserted energy. Writing raises GranflowError for values that are not valid.
+    are computed again before the next step or snapshot, once for all changes. The change of energy is part of
+    `removed_energy`. Writing raises GranflowError for values that are not valid.
     """
 
     def __init__(self, state: RunState) -> None:
@@ -135,6 +135,7 @@ class LiveParticles:
         """
         engine = self._engine
         new = particle_data(self._state.plan, position, diameter, material, velocity, group, angular_velocity)
+        refuse_without_pair(self._state.plan, new, self._numbers("group"))
         engine.begin_change()
         needed = engine.state.count + len(new) + self._state.insertion.remaining
         if needed > self._state.plan.particle_capacity:

@@ -58,7 +58,7 @@ class LiveWall:
     @motion.setter
     def motion(self, given: KINDS | Sequence[KINDS] | None) -> None:
         state, time = self._state, self._state.engine.time
-        motions = [] if given is None else [given] if isinstance(given, KINDS) else list(given)
+        motions = [] if given is None else list(given) if isinstance(given, list | tuple) else [given]
         for each in motions:
             if not isinstance(each, KINDS):
                 raise GranflowError(

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 
 from granflow.errors import StopRun
-from granflow.observers.base import PARTICLES, TOTALS, WALLS
+from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS
 from granflow.observers.schedule import ScheduledObserver
 from granflow.scene.schema.units import seconds_of
 from granflow.snapshot import Snapshot
@@ -20,7 +20,7 @@ class on_interval(ScheduledObserver):
         simulation.observers.append(granflow.on_interval("1 ms", lambda snapshot: print(snapshot.time)))
 
     `name`: of the function, in messages and checkpoints. Raises ValueError for an interval that is not positive and
-    finite, or a unit that is not one of time.
+    finite, a unit that is not one of time, an unknown part, or an object that is not a function.
     """
 
     def __init__(
@@ -32,6 +32,10 @@ class on_interval(ScheduledObserver):
     ) -> None:
         super().__init__(seconds_of("interval", interval), seconds_of("start", start))
         self.wants, self._function = frozenset(wants), function
+        if not callable(function):
+            raise ValueError(f"function is {function!r}, but must be a function of a snapshot.")
+        if unknown := self.wants - {PARTICLES, CONTACTS, WALLS, TOTALS}:
+            raise ValueError(f"wants contains {min(unknown)!r}, but has parts of particles, contacts, walls, totals.")
         self.name = getattr(function, "__name__", type(function).__name__)
 
     def observe(self, snapshot: Snapshot) -> None:

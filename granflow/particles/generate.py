@@ -30,7 +30,7 @@ def initial_particles(scene: SceneInput, earlier: Mapping[str, ParticleData] | N
     """All particles at t = 0, group by group in the order of the scene.
 
     Groups in `earlier` keep their particles from an earlier run; the other groups avoid them. Particles do not
-    overlap, except where given positions or files overlap. Groups with rain or inlet have no particles yet.
+    overlap, except where given positions or files overlap. Groups with rain, inlet or python have no particles yet.
 
     Raises SceneError with one message for each group that does not fit.
     """

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
-from granflow.errors import FunctionError, StopRun
+from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.observers.base import Checkpointable, Observer
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.timeseries import TimeSeries
@@ -25,6 +25,7 @@ class ObserverList(Sequence[Observer]):
     """
 
     def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
+        refuse_other_objects(added)
         self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
         self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
@@ -35,8 +36,15 @@ class ObserverList(Sequence[Observer]):
     def __len__(self) -> int:
         return len(self._observers)
 
+    def __repr__(self) -> str:
+        return f"[{', '.join(map(name_of, self._observers))}]"
+
     def append(self, observer: Observer) -> None:
-        """Add an observer; after the start of the run, its first snapshot is that of its next due time."""
+        """Add an observer; after the start of the run, its first snapshot is that of its next due time.
+
+        Raises GranflowError for another object, such as a function without an interval.
+        """
+        refuse_other_objects([observer])
         if self._last_time is not None and isinstance(observer, ScheduledObserver):
             observer.skip_to(self._last_time)
         self._observers = (*self._observers, observer)
@@ -132,6 +140,14 @@ class ObserverList(Sequence[Observer]):
         """Close the files of all observers."""
         for observer in self._observers:
             observer.finish()
+
+
+def refuse_other_objects(given: Sequence[object]) -> None:
+    """Raise GranflowError for an object that is not an observer."""
+    for each in given:
+        if not all(hasattr(each, name) for name in ("wants", "next_time", "observe", "finish")):
+            name = getattr(each, "__name__", repr(each))
+            raise GranflowError(f"{name} is not an observer: give granflow.on_interval(interval, {name}).")
 
 
 def name_of(observer: Observer) -> str:

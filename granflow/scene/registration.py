@@ -1,21 +1,42 @@
 """Registration of contact models from outside the package."""
 
+from collections.abc import Iterator
+
 from granflow.contact import registry
 from granflow.contact.model import ContactModel
+from granflow.contact.options import Amount, Choice
 from granflow.scene import partial
 from granflow.scene.schema import contact, materials
 from granflow.scene.schema.fields import Model
 from granflow.scene.schema.scene import SceneInput
+from granflow.scene.schema.units import DIMENSIONS
 
 
 def register_contact_model(model: ContactModel) -> None:
     """Register a contact model, so that scenes can select it like a built-in one.
 
     Call it before a scene with the model is read, also in a program that resumes a run. Scenes that exist are not
-    affected. Raises ValueError for a record that is not valid, or a name that exists.
+    affected. The guide "Simulations in Python" lists its functions.
+
+        gf.register_contact_model(ContactModel(MyCohesion, "what it does, in one sentence"))
+
+    Raises ValueError for a record that is not valid, or a name that exists.
     """
+    for amount in _amounts(model):
+        if amount.dimension not in DIMENSIONS:
+            raise ValueError(
+                f"contact model {model.law.__name__}: the dimension {amount.dimension} is not one of "
+                f"{', '.join(DIMENSIONS)}"
+            )
     registry.add(model)
     _use_registry()
+
+
+def _amounts(model: ContactModel) -> Iterator[Amount]:
+    """The numbers that the options and pair options of a model declare."""
+    yield from (option.amount for option in model.pair_options)
+    for option in model.options.values():
+        yield from option.keyed.values() if isinstance(option, Choice) else [option]
 
 
 def unregister_contact_model(model: ContactModel) -> None:

@@ -143,6 +143,13 @@ def unknown(position, velocity, radius, mass, time, parameters):
     return mass * parameters.viscosiy * velocity
 
 
+def test_a_function_with_other_arguments_is_refused():
+    with pytest.raises(
+        gf.GranflowError, match=r"force <lambda> takes \(position, velocity\), but must take \(position, "
+    ):
+        gf.ParticleForce(lambda position, velocity: velocity)
+
+
 def test_functions_and_parameters_that_are_not_valid_are_refused(taichi_f64):
     with gf.Simulation(flying()) as simulation:
         for function, message in ((scalar, "vector of three"), (unknown, "viscosiy")):

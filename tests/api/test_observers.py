@@ -78,3 +78,30 @@ def test_an_error_names_function_and_time_after_a_checkpoint_from_which_the_run_
 def test_an_interval_that_is_not_a_time_is_refused():
     with pytest.raises(ValueError, match="interval is 1 kg, but"):
         gf.on_interval("1 kg", print)
+
+
+MISTAKES = {
+    "print is not an observer: give granflow.on_interval": lambda simulation: simulation.observers.append(print),
+    "wants contains 'contact', but has parts of": lambda _: gf.on_interval(1, print, wants=["contact"]),
+    "function is 3, but must be a function of a snapshot": lambda _: gf.on_interval(1, 3),
+    "count is 1.5, but must be a whole number": lambda simulation: simulation.step(1.5),
+    "count is -1, but must be a whole number": lambda simulation: simulation.step(-1),
+    "scene is a str; make a scene of it with granflow.load_scene": lambda _: gf.Simulation("hopper.yaml"),
+    "scene is a dict; make a scene of it with granflow.Scene.from_dict": lambda _: gf.Simulation({"title": "x"}),
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_mistakes_are_refused_where_they_are_made(message, taichi_f64):
+    with gf.Simulation(flying()) as simulation:
+        with pytest.raises((gf.GranflowError, ValueError)) as error:
+            MISTAKES[message](simulation)
+        assert message in str(error.value)
+
+
+def test_representations_of_a_simulation_name_its_parts(taichi_f64):
+    with gf.Simulation(flying(), observers=[gf.on_interval("1 ms", fragile)]) as simulation:
+        simulation.step(3)
+        assert repr(simulation.observers) == "[fragile]"
+        assert all(text in simulation._repr_html_() for text in ("particles", "time step", "none"))
+        assert all(text in simulation.snapshot()._repr_html_() for text in ("(1, 3)", "kinetic_energy"))

@@ -5,6 +5,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
+from granflow.cli.main import main
 
 GRAVITY = 9.81
 START = [[0.0, 0.0, 0.1], [0.05, 0.0, 0.1], [0.1, 0.0, 0.1]]
@@ -176,3 +177,52 @@ def test_groups_are_changed_and_unknown_properties_refused(simulation):
     np.testing.assert_array_equal(simulation.particles.group, ["rest", "feed", "rest", "other"])
     with pytest.raises(AttributeError, match="no property speed"):
         simulation.particles.speed = 1.0
+
+
+def program_scene(count=3):
+    """A scene whose particles a program adds, above a floor."""
+    group = {"material": "glass", "count": count, "diameter": {"distribution": "uniform", "min": 0.008, "max": 0.01}}
+    return build_scene(
+        {"balls": group | {"insert": {"kind": "python"}}},
+        walls={"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])},
+        gravity=[0.0, 0.0, -GRAVITY],
+        pair={"friction": 0.5},
+    )
+
+
+def test_a_scene_without_particles_takes_arrays_and_resumes(taichi_f64, tmp_path):
+    """The arrays grow beyond the `count` of the group; a resumed run has the added particles."""
+    position = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1], [0.2, 0.0, 0.1], [0.3, 0.0, 0.1]])
+    diameter, velocity = np.array([0.008, 0.01, 0.009, 0.01]), np.arange(12.0).reshape(4, 3) / 100.0
+    with gf.Simulation(program_scene(), out=tmp_path / "run") as simulation:
+        assert len(simulation.particles) == 0 and simulation.particles.position.shape == (0, 3)
+        simulation.step()
+        ids = simulation.particles.add(position, diameter, "glass", velocity)
+        np.testing.assert_array_equal(ids, [0, 1, 2, 3])
+        simulation.run(until=0.01)
+        moved = simulation.particles.position[:]
+        np.testing.assert_allclose(simulation.particles.diameter, diameter, rtol=1e-12)
+        np.testing.assert_allclose(moved[:, :2], position[:, :2] + velocity[:, :2] * simulation.time, atol=1e-5)
+    with gf.Simulation(program_scene(), out=tmp_path / "run", resume=tmp_path / "run") as simulation:
+        np.testing.assert_array_equal(simulation.particles.position, moved)
+        simulation.step()
+
+
+def test_the_command_line_refuses_a_group_of_a_program(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    program_scene().save("scene.yaml")
+    assert main(["check", "scene.yaml"]) == 0 and "a Python program adds" in capsys.readouterr().err
+    assert main(["run", "scene.yaml"]) == 2
+    error = capsys.readouterr().err
+    assert "particles.balls.insert.kind is python" in error and not (tmp_path / "out").exists()
+
+
+def test_particles_without_constants_of_their_contact_are_refused(taichi_f64):
+    """One particle touches no other, so that its scene needs no pair; a second one would."""
+    scene = build_scene({"ball": particle_group([[0.0] * 3])})
+    written = scene.model_dump(mode="json", exclude_unset=True, by_alias=True) | {"pairs": {}}
+    with gf.Simulation(gf.Scene.from_dict(written)) as simulation:
+        with pytest.raises(gf.GranflowError, match="the scene has no pair glass-glass; add it to pairs"):
+            simulation.particles.add([0.1, 0.0, 0.0])
+        simulation.step()
+        assert len(simulation.particles) == 1

@@ -93,8 +93,9 @@ def test_representations_are_short(run, reference):
     assert repr(run) == f'<Run "Trial" in {reference[0]}: complete, {run.time:.4g} s, {len(run.frames)} frames>'
     assert repr(run.result).startswith(f"<Result: simulated time {run.time:.4g} s, steps ")
     assert repr(run.result).endswith("particles 27, expectations 1 of 1 met>")
-    assert repr(run.snapshot(0)).startswith("<Snapshot at 0 s, step 0, stage first: 27 particles with ")
+    assert repr(run.snapshot(0)).startswith("<Snapshot at 0 s, stage first: 27 particles with ")
     assert all(len(repr(each)) < 400 for each in (run, run.result, run.snapshot(-1), run.frames, run.scene))
+    assert "velocity" in run.snapshot(0)._repr_html_() and "(27, 3)" in run.snapshot(0)._repr_html_()
     assert "<td" in run._repr_html_() and "kinetic_energy" in run.result._repr_html_()
 
 

@@ -13,7 +13,7 @@ from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
-from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest
+from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
@@ -250,3 +250,27 @@ CHECKS = (
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: getattr(check, "__name__", "units"))
 def test_generic_requirements_hold(taichi_f64, check):
     check(taichi_f64, case=StickyCase("sticky_elastic", sticky_laws, number(1.0), adhesive=True))
+
+
+@dataclass(frozen=True)
+class Incomplete(NormalLaw):
+    name = "incomplete"
+    source = "this test, 2026"
+    limits = "a model without physical basis"
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (ContactModel(Incomplete, "x"), "must define force, stored_energy, phase_durations, unloading_stiffness, see "),
+        (
+            ContactModel(type("Other", (Hertz,), {"name": "other", "constant_names": ("k",)}), "x"),
+            "begins with modulus_e",
+        ),
+        (ContactModel(Sticky, "x", options={"size": Amount("x", "1 m", "lenght")}), "dimension lenght is not one of"),
+    ],
+)
+def test_incomplete_models_are_refused_at_registration(model, message):
+    """Without the refusal, the first scene fails with a traceback from the time step or the kernels."""
+    with pytest.raises(ValueError, match=message):
+        register_contact_model(model)

@@ -152,7 +152,6 @@ def build(folder):
         "mkdocs",
         "build",
         "--strict",
-        "--quiet",
         "-f",
         str(folder / "docs" / "mkdocs.yml"),
     ]

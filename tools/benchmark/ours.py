@@ -80,24 +80,24 @@ def region(case: Case) -> str:
     return f"{{min: [-{half}, -{half}, {cases.CONE_HEIGHT}], max: [{half}, {half}, {cases.TUBE_TOP}]}}"
 
 
-def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
-    """Engine with the particles of the case before the first step, forces computed."""
-    from granflow.engine.backend import start
-    from granflow.engine.engine import Engine
-    from granflow.load import load
-    from granflow.particles.particle_data import ParticleData
-    from granflow.plan.build import plan_for
+def simulation_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
+    """Simulation with the particles of the case, before the first step."""
+    from granflow import ParticleData, Simulation, load_scene
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "case.yaml"
         scene_file.write_text(scene_text(case, law, precision, skin))
-        plan = plan_for(load(scene_file))
-    engine = Engine(plan, start("cpu", precision, threads))  # type: ignore[arg-type]
+        scene = load_scene(scene_file)
     zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
-    engine.insert(ParticleData(case.position, zeros, zeros, 0.5 * case.diameter, zero_indices, zero_indices))
-    engine.set_walls([True] * len(plan.walls), [()] * len(plan.walls))
-    engine.refresh()
-    return engine
+    particles = ParticleData(case.position, zeros, zeros, 0.5 * case.diameter, zero_indices, zero_indices)
+    return Simulation(scene, threads=threads, particles=particles)
+
+
+def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
+    """Engine of the simulation, forces computed, for measurements of its phases."""
+    simulation = simulation_for(case, law, precision, threads, skin)
+    simulation.snapshot()
+    return simulation.engine
 
 
 def measure(
@@ -105,41 +105,37 @@ def measure(
 ) -> dict[str, Any]:  # fmt: skip
     """Rate of one time window [particle-steps/s], memory, contacts, rebuilds; first_step in s since 1970."""
     case = Case.load(Path(path))
-    engine = engine_for(case, law, precision, threads, skin)
-    engine.advance(1)
+    simulation = simulation_for(case, law, precision, threads, skin)
+    simulation.step(1)
     first_step = time.time()
-    engine.advance(warm)
-    above, rebuilds = mass_above(engine), engine.timing.rebuild_count
+    simulation.step(warm)
+    timing = simulation.engine.timing
+    above, rebuilds = mass_above(simulation), timing.rebuild_count
     began = time.perf_counter()
-    engine.advance(window)
+    simulation.step(window)
     seconds = time.perf_counter() - began
-    if engine.diagnosis is not None:
-        raise SystemExit(f"granflow stopped: {engine.diagnosis}")
-    rebuilds, memory = engine.timing.rebuild_count - rebuilds, peak_memory()
+    rebuilds, memory = timing.rebuild_count - rebuilds, peak_memory()
     span = window * cases.TIME_STEP
     return {
         "rate": window * case.count / seconds,
         "first_step": first_step,
-        "compile": engine.timing.compile,
+        "compile": timing.compile,
         "memory": memory,
-        "field_bytes": field_bytes(engine) / case.count,
-        "contacts": particle_contacts(engine) / case.count,
+        "field_bytes": field_bytes(simulation.engine) / case.count,
+        "contacts": particle_contacts(simulation) / case.count,
         "rebuilds": 1000.0 * rebuilds / window,
-        "mass_flow": (above - mass_above(engine)) / span if case.kind == "hopper" else None,
+        "mass_flow": (above - mass_above(simulation)) / span if case.kind == "hopper" else None,
     }
 
 
-def mass_above(engine: Any) -> float:
+def mass_above(simulation: Any) -> float:
     """Mass whose centers are above the orifice [kg]."""
-    from granflow.engine.host_copy import copy_to_host
-
-    arrays = copy_to_host(engine.state, ("mass", "position"))
-    return float(arrays["mass"][arrays["position"][:, 2] > 0.0].sum(dtype=float))
+    return float(simulation.particles.mass[simulation.particles.position[:, 2] > 0.0].sum())
 
 
-def particle_contacts(engine: Any) -> int:
+def particle_contacts(simulation: Any) -> int:
     """Number of contacts between two particles."""
-    contacts = engine.snapshot("run", frozenset({"contacts"})).contacts
+    contacts = simulation.snapshot(contacts=True).contacts
     return int((contacts["id_j"] >= 0).sum())
 
 

@@ -13,7 +13,16 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from docsite import api_page, command_page, gallery, model_pages, model_pictures, quantity_pages, scene_reference  # noqa: E402
+from docsite import (  # noqa: E402
+    api_page,
+    command_page,
+    gallery,
+    model_pages,
+    model_pictures,
+    notebook_pages,
+    quantity_pages,
+    scene_reference,
+)
 
 PAGES: Mapping[str, Callable[[], str]] = {
     "reference/scene.md": scene_reference.page,
@@ -42,6 +51,10 @@ def on_files(files: Any, config: Any) -> Any:
 
     for path, page in PAGES.items():
         files.append(File.generated(config, path, content=page()))
+    for name in notebook_pages.names():
+        files.append(File.generated(config, f"notebooks/{name}.md", content=notebook_pages.page(name)))
+        source = str(notebook_pages.path_of(name))
+        files.append(File.generated(config, f"notebooks/{name}.ipynb", abs_src_path=source))
     for name in model_pages.names():
         path = f"contact_models/{name}.md"
         if files.get_file_from_path(path) is None:

@@ -80,12 +80,14 @@ def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozense
 def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:
     """Number of fixed particles, or of mobile ones, for each of these materials.
 
-    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles.
+    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles, and a group to
+    which a program adds particles at least as many.
     """
     found: dict[str, int] = {}
     for group in scene.particles.values():
         if group.material in materials and group.fixed == fixed:
-            found[group.material] = found.get(group.material, 0) + (group.count_given or ASSUMED_COUNT)
+            least = ASSUMED_COUNT if group.insert.kind == "python" else 1
+            found[group.material] = found.get(group.material, 0) + max(group.count_given or ASSUMED_COUNT, least)
     return found
 
 

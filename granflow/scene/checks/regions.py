@@ -13,6 +13,7 @@ from granflow.scene.schema.insertion import (
     FileInsertion,
     InletInsertion,
     PositionsInsertion,
+    PythonInsertion,
     RectangleFace,
     TimedInsertion,
 )
@@ -40,7 +41,7 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
             for index, point in enumerate(group.insert.positions):
                 if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
                     yield Fault((*path, "positions", index), "it lies outside the domain")
-        if isinstance(group.insert, PositionsInsertion | FileInsertion):
+        if isinstance(group.insert, PositionsInsertion | FileInsertion | PythonInsertion):
             continue
         key = "face" if isinstance(group.insert, InletInsertion) else "region"
         for axis, (a, b) in enumerate(_extent(getattr(group.insert, key))):

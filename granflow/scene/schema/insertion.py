@@ -202,8 +202,27 @@ class PositionsInsertion(Model):
     positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
 
 
+class PythonInsertion(Model):
+    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from arrays.
+
+    `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
+
+    >>> sizes = gf.UniformSizes(min="3 mm", max="4 mm")
+    >>> gf.Group(material="glass", count=5000, diameter=sizes, insert=gf.PythonInsertion()).insert.kind
+    'python'
+    """
+
+    kind: Literal["python"] = Field("python", description="kind of insertion")
+
+
 Insertion = Annotated[
-    LatticeInsertion | PackInsertion | RainInsertion | InletInsertion | PositionsInsertion | FileInsertion,
+    LatticeInsertion
+    | PackInsertion
+    | RainInsertion
+    | InletInsertion
+    | PositionsInsertion
+    | FileInsertion
+    | PythonInsertion,
     choose_by_key("kind"),
 ]
 """Any kind of insertion; the key `kind` selects it."""

@@ -85,7 +85,7 @@ class Group(Model):
         None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
     )
     fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
-    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions or file, ...}")
+    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions, file, python, ...}")
 
     @property
     def count(self) -> int:
@@ -126,6 +126,9 @@ class Group(Model):
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
             yield from self._fixed_faults()
+        for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
+            if np.any(getattr(self, key)):
+                yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
 
     def _amount_faults(self) -> Iterator[Fault]:
         """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
@@ -152,7 +155,7 @@ class Group(Model):
 
     def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
         """Random velocities require mobile particles at the start, and two of them if their momentum is zero."""
-        if self.insert.kind in ("rain", "inlet", "file"):
+        if self.insert.kind in ("rain", "inlet", "file", "python"):
             reason = f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
             yield whole(("thermal",), f"cannot be combined with it: {reason}")
         elif self.fixed:
