@@ -11,7 +11,7 @@ from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.suggest import suggestion_or_list
-from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.studies.collision_bench import Collision, CollisionBench, duration_given
 from granflow.studies.reference_path import Impact, damped_path, end_overlap, history_along, loading_path
 
 
@@ -56,7 +56,12 @@ def collide(
             pairs={"first-first": pair, "first-second": pair, "second-second": pair},
             contact={"normal": normal},
             collisions=[Collision("first", "second", radius, other, velocity, 1.0 if wall else 0.5)],
-            run={"duration": 1.0, "velocity_max": velocity, "precision": precision or "f64", **run},
+            run={
+                "duration": duration_given(diameter, velocity),
+                "velocity_max": velocity,
+                "precision": precision or "f64",
+                **run,
+            },
             arch=arch,
         )
 

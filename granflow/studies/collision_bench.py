@@ -33,6 +33,14 @@ Settings = Mapping[str, Any]
 """Entries of a block of a scene."""
 
 
+def duration_given(diameter: float, velocity: float) -> float:
+    """Value of run.duration [s]: LONGEST times the travel by a diameter [m] at up to 1 m/s, at most 1 s.
+
+    The bench ends with the last collision; a longer duration of small particles is refused for its number of steps.
+    """
+    return min(1.0, LONGEST * diameter / min(velocity, 1.0))
+
+
 @dataclass(frozen=True)
 class Collision:
     """One collision of a particle with another particle or with a wall, in SI units.

@@ -15,6 +15,7 @@ from granflow.studies.collision_bench import (
     LATEST_END,
     Collision,
     CollisionBench,
+    duration_given,
 )
 
 
@@ -110,7 +111,8 @@ def head_on_bench(
             for each, time in zip(collisions, first_contact, strict=True)
         ],
         run={
-            "duration": 1.0, "time_step": time_step, "precision": precision,
+            "duration": min(duration_given(each.diameter, each.velocity) for each in collisions),
+            "time_step": time_step, "precision": precision,
             "velocity_max": velocity_max or max(each.velocity for each in collisions),
         },
         numerics=numerics or {}, contact_x=contact_x, arch=arch, threads=threads,
