@@ -65,7 +65,7 @@ def test_wheel_contains_the_scenes(tmp_path):
     subprocess.run([sys.executable, "-m", "zipfile", "-e", str(wheel), str(tmp_path / "installed")], check=True)
 
     def granflow(*arguments):
-        program = f"import sys; sys.path.insert(0, {str(tmp_path / 'installed')!r}); import granflow.cli.main as cli; "
+        program = f"import sys; sys.path.insert(0, {str(tmp_path / 'installed')!r}); import granflow.cli as cli; "
         program += f"assert cli.__file__.startswith({str(tmp_path)!r}); sys.exit(cli.main({list(arguments)!r}))"
         command = [sys.executable, "-c", program]
         return subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
