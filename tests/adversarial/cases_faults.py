@@ -55,14 +55,16 @@ def early_signal(sandbox: Sandbox) -> FinishedProcess:
 
 
 def killed_at_random(sandbox: Sandbox) -> FinishedProcess:
-    """Kills and resumes the run at random times, then resumes it to its end."""
+    """Kills and resumes the run at random times, the last time after a checkpoint, then resumes it to its end."""
     rng = random.Random(7)
     command = "run beads.yaml --out out"
-    for _ in range(RESTARTS):
+    for remaining in reversed(range(RESTARTS)):
         running = sandbox.start(command)
         log = sandbox.path("out/run.log")
         size = log.stat().st_size if log.exists() else 0
         while running.poll() is None and (log.stat().st_size if log.exists() else 0) <= size:
+            time.sleep(0.01)
+        while remaining == 0 and running.poll() is None and not any(sandbox.path("out").glob("checkpoint_*.npz")):
             time.sleep(0.01)
         time.sleep(rng.uniform(0.0, 0.5))
         if running.poll() is None:
