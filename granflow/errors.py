@@ -81,4 +81,9 @@ class FunctionError(GranflowError):
     """A function from Python, such as that of an observer, failed; the message gives its name and the simulated time.
 
     The original exception is `__cause__`.
+
+        try:
+            simulation.run()
+        except granflow.FunctionError as error:
+            print(error, repr(error.__cause__))
     """

@@ -150,6 +150,16 @@ class Scene(SceneInput):
             ("duration", f"at most {longest:g} s{stages}"),
         ]
 
+    def problems_without_program(self) -> list[str]:
+        """One sentence for each group whose particles only a program adds; none if they come from an earlier run."""
+        groups = self.particles if self.start_from is None else {}
+        return [
+            f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a Python "
+            "program adds these particles, and granflow run has none. Choose another kind, such as lattice or file."
+            for name, group in groups.items()
+            if group.insert.kind == "python"
+        ]
+
     def with_precision(self, precision: Precision) -> "Scene":
         """The same scene with another floating-point precision."""
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})

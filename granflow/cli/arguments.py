@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from granflow.errors import SceneError
+
 if TYPE_CHECKING:
     from granflow.load import Scene
 
@@ -118,3 +120,11 @@ def load(options: argparse.Namespace) -> "Scene":
 
     precision = getattr(options, "precision", None)
     return load_scene(options.scene, [*options.overrides, *([f"run.precision={precision}"] if precision else [])])
+
+
+def load_runnable(options: argparse.Namespace) -> "Scene":
+    """Read the scene of a run, as `load`. Raises SceneError also for a group whose particles a program adds."""
+    scene = load(options)
+    if problems := scene.problems_without_program():
+        raise SceneError(problems)
+    return scene

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_out, add_scene_verb, load, quantity, simulated_time
+from granflow.cli.arguments import add_machine, add_out, add_scene_verb, load_runnable, quantity, simulated_time
 from granflow.cli.messages import say, say_progress, show_table
 from granflow.cli.scenes import prepare_output
 
@@ -21,7 +21,7 @@ def compare(options: argparse.Namespace) -> int:
     from granflow.studies.compare.variants import law_names, variant_keys
 
     laws = law_names(options.laws)
-    scene = load(options)
+    scene = load_runnable(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
     for key in variant_keys(laws):
         prepare_output(out / key, scene, options.overwrite)

@@ -8,9 +8,17 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_allow_long, add_machine, add_scene_verb, load, simulated_time, thread_count
+from granflow.cli.arguments import (
+    add_allow_long,
+    add_machine,
+    add_scene_verb,
+    load,
+    load_runnable,
+    simulated_time,
+    thread_count,
+)
 from granflow.cli.messages import say, warn, warned
-from granflow.errors import GranflowError, SceneError
+from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
     from granflow.load import Scene
@@ -22,9 +30,7 @@ def run(options: argparse.Namespace) -> int:
     Returns the exit code of `run_to_end`. Raises SceneError for a group without particles, and GranflowError if the
     directory contains an earlier run, unless --overwrite is given.
     """
-    scene = load(options)
-    if absent := without_particles(scene):
-        raise SceneError(absent)
+    scene = load_runnable(options)
     out = options.out or Path("out") / scene.path.stem
     printed = prepare_output(out, scene, options.overwrite)
     from granflow.cli.resume import run_to_end
@@ -40,17 +46,6 @@ def run(options: argparse.Namespace) -> int:
         # another process may have used the directory in the meantime
         printed += prepare_output(out, scene, options.overwrite)
         return run_to_end(simulation, scene, out, options.until, printed)
-
-
-def without_particles(scene: "Scene") -> list[str]:
-    """One sentence for each group whose particles a Python program adds; none if they come from an earlier run."""
-    groups = scene.particles if scene.start_from is None else {}
-    return [
-        f"{scene.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a Python "
-        "program adds these particles, and granflow run has none. Choose another kind, such as lattice or file."
-        for name, group in groups.items()
-        if group.insert.kind == "python"
-    ]
 
 
 def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
@@ -95,7 +90,7 @@ def check(options: argparse.Namespace) -> int:
     plan = plan_for(scene)
     refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
-    warn([*without_particles(scene), *plan.warnings, *filter(None, [memory_warning(plan)])])
+    warn([*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")

@@ -64,6 +64,8 @@ _started: Backend | None = None
 def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
     """Start Taichi, or return the running backend if its settings are the same.
 
+        granflow.start("cpu", precision="mixed", threads=2)
+
     threads:  CPU threads; None: as many as this process may use
     Raises:   GranflowError if the architecture is absent or lacks float64, or if this process has started Taichi with
               other settings (a second start would invalidate every field)

@@ -25,6 +25,10 @@ def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, so
     A row contains the time [s], the stage and each value under its column name with the unit. `source` names the origin
     of the snapshots in messages.
 
+        run = granflow.read_run("out/hopper")
+        snapshots = [run.snapshot(index) for index in range(len(run.frames))]
+        rows = granflow.analyze_snapshots(run.scene, snapshots, Path("out/analysis"))
+
     Raises GranflowError if the scene requests nothing, or if snapshots lack contacts.
     """
     plan = plan_for(scene)

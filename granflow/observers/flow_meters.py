@@ -190,6 +190,9 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
     whose final mass differs from its initial mass; a stage begins at the last sample of the previous one. t(m) is the
     first time at which the mass reaches m, interpolated linearly. The start and the end of the flow have no influence.
     Returns 0 without flow.
+
+    >>> gf.steady_flow([(0.0, "run", 0.0), (1.0, "run", 0.5), (2.0, "run", 1.0)])
+    0.5
     """
     times = np.array([time for time, _, _ in history])
     masses = np.array([mass for _, _, mass in history])

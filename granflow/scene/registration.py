@@ -1,6 +1,7 @@
 """Registration of contact models from outside the package."""
 
 from collections.abc import Iterator
+from inspect import getsource
 
 from granflow.contact import registry
 from granflow.contact.model import ContactModel
@@ -28,8 +29,21 @@ def register_contact_model(model: ContactModel) -> None:
                 f"contact model {model.law.__name__}: the dimension {amount.dimension} is not one of "
                 f"{', '.join(DIMENSIONS)}"
             )
+    _refuse_without_source(model)
     registry.add(model)
     _use_registry()
+
+
+def _refuse_without_source(model: ContactModel) -> None:
+    """Raise ValueError if the text of a device function is not available, which the kernel language compiles."""
+    for name in ("force", "torque"):
+        try:
+            getsource(getattr(model.law, name, registry.add))
+        except OSError:
+            raise ValueError(
+                f"contact model {model.law.__name__}: the source of {name} is not available; define the class in a "
+                "file or a notebook cell."
+            ) from None
 
 
 def _amounts(model: ContactModel) -> Iterator[Amount]:

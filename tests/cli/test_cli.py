@@ -55,7 +55,8 @@ def stubs(monkeypatch, tmp_path):
         if isinstance(calls.raises, SceneError):
             raise calls.raises
         return types.SimpleNamespace(
-            **vars(empty_scene()) | dict(path=Path(path), title="Two [spheres]", expect=("one",))
+            problems_without_program=list,
+            **vars(empty_scene()) | dict(path=Path(path), title="Two [spheres]", expect=("one",)),
         )
 
     def collide(**options):

@@ -274,3 +274,11 @@ def test_incomplete_models_are_refused_at_registration(model, message):
     """Without the refusal, the first scene fails with a traceback from the time step or the kernels."""
     with pytest.raises(ValueError, match=message):
         register_contact_model(model)
+
+
+def test_a_model_without_source_is_refused_at_registration():
+    """As in the interactive interpreter: the kernel language compiles the text of the functions."""
+    names: dict = {"ti": ti, "Sticky": Sticky}
+    exec("class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]", names)
+    with pytest.raises(ValueError, match="the source of force is not available; define the class in a file"):
+        register_contact_model(ContactModel(names["Typed"], "x"))

@@ -97,6 +97,13 @@ def test_every_public_name_is_in_the_reference():
     assert all(pages.count(f"\n### {name}\n") == 1 for name in granflow.__all__)
 
 
+def test_parts_of_simulations_and_bases_of_contact_models_are_in_the_reference():
+    page = docsite("api_page").page()
+    for member in ("LiveParticles.velocity", "LiveWall.motion", "NormalLaw.force", "TangentialLaw.limit"):
+        assert f"\n#### {member}\n" in page
+    assert "overlap_rate [m/s], positive during approach" in page, "the members of the structs"
+
+
 def test_keys_of_blocks_link_to_the_reference_of_scenes():
     scene = docsite("scene_reference").page()
     links = re.findall(r"\(scene\.md#([\w-]+)\)", docsite("api_page").blocks_page())

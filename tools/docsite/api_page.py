@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import granflow
@@ -38,13 +39,31 @@ joins the blocks and validates them together. Blocks are immutable.
 """
 GROUPS: Mapping[str, Sequence[str]] = {
     "Scenes": ("load_scene", "Scene", "register_contact_model"),
-    "Simulations": ("Simulation", "ParticleData", "on_interval", "Snapshot", "start"),
+    "Simulations": ("Simulation", "ParticleForce", "on_interval", "StopRun", "Snapshot", "ParticleData", "start"),
     "Results": ("read_run", "Run", "Result", "analyze_snapshots", "steady_flow"),
     "Studies": ("sweep", "calibrate"),
     "Plans": ("plan_for", "Plan", "explain", "estimate_memory"),
-    "Errors": ("GranflowError", "SceneError", "RunError", "OutputError"),
+    "Errors": ("GranflowError", "SceneError", "RunError", "OutputError", "FunctionError"),
 }
 """Names of the first page by topic; names without a topic follow."""
+PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "Parts of a simulation": {
+        "granflow.live.particles": ("LiveParticles",),
+        "granflow.live.particle_array": ("ParticleArray",),
+        "granflow.live.walls": ("LiveWalls", "LiveWall"),
+        "granflow.live.forces": ("Forces", "ForceParameters"),
+        "granflow.runs.observer_list": ("ObserverList",),
+        "granflow.snapshot": ("WallPose",),
+    },
+    "Contact models of your own": {
+        "granflow.contact.model": ("ContactModel",),
+        "granflow.contact.options": ("Amount", "Choice", "PairOption"),
+        "granflow.contact.law": ("Law", "NormalLaw", "CohesionLaw", "HistoryField", "ModelRequest"),
+        "granflow.contact.surface_law": ("TangentialLaw", "RollingLaw", "TwistingLaw", "TorqueLaw"),
+        "granflow.contact.material": ("PairMaterial",),
+    },
+}
+"""Classes that are not names of the package, by topic and module."""
 LONGEST_SIGNATURE = 12
 """Parameters of the longest signature of a class; records with more are created by functions."""
 
@@ -56,6 +75,11 @@ def page() -> str:
     for topic, names in GROUPS.items():
         lines += [f"## {topic}\n", *(section(name) for name in names)]
         remaining = [name for name in remaining if name not in names]
+    for topic, modules in PARTS.items():
+        lines.append(f"## {topic}\n")
+        for module, names in modules.items():
+            introduction = inspect.getdoc(import_module(module)) or ""
+            lines += [f"{introduction}\n"] * ("\n" in introduction) + [part_section(module, name) for name in names]
     if remaining:
         lines += ["## Further names\n", *map(section, remaining)]
     return "\n".join(lines)
@@ -81,6 +105,16 @@ def section(name: str) -> str:
     elif inspect.isclass(thing) and not issubclass(thing, Exception):
         for member, value in members(thing):
             lines += [f"#### {name}.{member}\n", value]
+    return "\n".join(lines)
+
+
+def part_section(module: str, name: str) -> str:
+    """Module and docstring of a class that is not a name of the package, with its public members."""
+    thing = getattr(import_module(module), name)
+    is_created = module.startswith("granflow.contact")
+    lines = [f"### {name}\n", f"In `{module}`.\n", signature(name, thing) if is_created else "", docstring(name, thing)]
+    for member, value in members(thing):
+        lines += [f"#### {name}.{member}\n", value]
     return "\n".join(lines)
 
 

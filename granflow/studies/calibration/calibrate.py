@@ -17,6 +17,8 @@ def calibrate(
 ) -> Any:
     """Determine parameters of scenes from measured targets; return the best values as a pandas DataFrame.
 
+        best = granflow.calibrate("calibration.yaml", jobs=2)
+
     source:   calibration file (YAML), or a mapping with the same keys, with paths relative to the working directory
     out:      directory of the results; default: out/NAME. Trials in it that have ended are not repeated
     jobs:     simultaneous trials; default: cores / threads

@@ -49,16 +49,17 @@ def checked_run(
     """Check a run of the scene in a file with other values of some keys, by key path.
 
     `read`: numbers of the result that are needed; `seed_offset`: added to the seed of the scene. Raises GranflowError
-    if the scene with these values is invalid, or has no such number.
+    if the scene with these values is invalid, has no such number, or needs particles of a program.
     """
     overrides = overrides_of(settings)
     scene = load_scene(path, overrides)
     if seed_offset:
         overrides = (*overrides, f"seed={scene.seed + seed_offset}")
         scene = load_scene(path, overrides)
-    unknown = [reason for name in read if (reason := unknown_quantity(name, scene))]
-    if unknown:
-        raise GranflowError(" ".join(unknown))
+    problems = [reason for name in read if (reason := unknown_quantity(name, scene))]
+    problems += scene.problems_without_program()
+    if problems:
+        raise GranflowError(" ".join(problems))
     directory = (common.runs / scene_hash(scene, common.arch)).resolve()
     request = RunRequest(
         str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve())

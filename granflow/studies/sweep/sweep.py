@@ -20,6 +20,8 @@ def sweep(
 ) -> Any:
     """Run a scene at many points of its parameters and return the table as a pandas DataFrame, one row per point.
 
+        table = granflow.sweep("sweep.yaml", jobs=2)
+
     source:     sweep file (YAML), or a mapping with the same keys, where paths are relative to the working directory
     out:        directory of the results; default: out/NAME. Runs in it that have ended are not repeated
     jobs:       simultaneous runs; default: cores / threads, or as many as the workers of the scheduler take
