@@ -39,7 +39,6 @@ REST_DAMPING = 0.1
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 
-
 _step_mean = build_step_mean(DAMPING_POWER)
 
 
