@@ -11,6 +11,7 @@ from granflow.contact.law import ContactState
 from granflow.contact.material import VelocityRestitution
 from granflow.contact.substep_corrections import reference_mean_above, reference_step_mean, reference_turning_point
 from granflow.contact.zhou_inelastic import reference_inelastic
+from granflow.contact.zhou_unloading import REST_SPEED
 
 RestitutionAt = Literal["impact", "max_overlap", "constant"]
 
@@ -44,6 +45,7 @@ def reference_contact(
         if elastic > 0.0 and constants.restitution < 1.0:
             tangent = lam + 1.5 * e**3 * k * np.sqrt(above)
             share = max(1.0 - tangent * contact.time_step**2 / contact.mass_eff, 0.0)
+            share /= 1.0 + max(rate, 0.0) ** 2 * contact.mass_eff / (0.8 * k * largest**2.5 * REST_SPEED**2)
             viscous = 2.0 * reloading_ratio * share * np.sqrt(tangent * contact.mass_eff) * max(rate, 0.0)
     if elastic > 0.0 and damping_ratio > 0.0:
         root = reference_step_mean(DAMPING_POWER, overlap, rate, contact.time_step)

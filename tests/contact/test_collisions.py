@@ -18,6 +18,7 @@ from contact.cases import (
 )
 
 from granflow.contact.laws import ContactLaws
+from granflow.contact.material import VelocityRestitution
 from granflow.kernel_language import ti
 
 every_law = pytest.mark.parametrize("case", CASES, ids=str)
@@ -119,6 +120,20 @@ def test_restitution_converges_in_second_order(taichi_f64, case):
     )
     assert coarse <= 1e-4
     assert coarse / fine >= 0.9 * 4.0**2
+
+
+SMALL = {"zhou_small": 0.001, "zhou_impact": VelocityRestitution(1.2, 0.54, 0.3), "zhou_constant": 0.1}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_restitution_below_the_smallest_one_is_the_smallest_one(taichi_f64, name):
+    """Within 0.6 % from ten steps per collision on, also for e(v) = 0 above the limit velocity, 0.3 m/s."""
+    (case,) = (case for case in PLAIN if case.name == name)
+    small = replace(case, restitution=lambda units: SMALL[name])
+    for steps in (10, 20, 50):
+        expected = expected_restitution(small, steps)
+        assert expected.max() < 1.0
+        np.testing.assert_allclose(collisions(small, steps)[0], np.broadcast_to(expected, (6, 7)), rtol=6e-3)
 
 
 def test_restitution_0_is_exact_at_every_time_step(taichi_f64):

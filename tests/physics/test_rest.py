@@ -27,7 +27,10 @@ def scene_at_rest(groups, duration, normal, restitution, **parts):
 def stack(normal, restitution, duration):
     """Snapshots of three particles that fall by 1 mm, one on another."""
     centers = [[0.0, 0.0, DIAMETER * (0.5 + number) + 0.001 * (1 + number)] for number in range(3)]
-    scene = scene_at_rest({"stack": particle_group(centers, DIAMETER)}, duration, normal, restitution)
+    numerics = {"time_step_fraction": 0.1}  # the error of the loss by rest damping is of first order in the time step
+    scene = scene_at_rest(
+        {"stack": particle_group(centers, DIAMETER)}, duration, normal, restitution, numerics=numerics
+    )
     return run_and_sample(scene, 0.1)
 
 

@@ -128,6 +128,12 @@ def test_static_overlap_of_the_weight():
     assert found.warning is None or found.overlap > 0.1
 
 
+def test_static_overlap_does_not_depend_on_the_restitution():
+    """An inelastic contact carries any load up to the loading curve."""
+    found = [forecast(bed(1e5, normal="zhou", pair={"restitution": e}), "overlap under the weight") for e in (0.0, 0.5)]
+    assert found[0].overlap == pytest.approx(found[1].overlap, rel=1e-9)
+
+
 def lid(height=0.1, pressure=1e4, **more):
     motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": pressure, "velocity_max": 0.5} | more
     sides = [[0.024, 0, 0], [0, 0.024, 0]]

@@ -190,6 +190,16 @@ def test_small_restitution_causes_one_warning_per_material_pair(tmp_path):
     assert [each.split(":")[0] for each in both] == list(PAIRS)
 
 
+def test_velocity_dependent_restitution_0_causes_a_warning(tmp_path):
+    """At the limit velocity e(v) is 0; the contact rebounds with the smallest restitution of the time step."""
+    fit = "{sigma: 1.2, psi: 0.54, limit_velocity: 0.5 m/s}"
+    step = plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={fit}" for pair in PAIRS))).step
+    (warning,) = step.warnings
+    assert warning.startswith("glass-glass: the restitution at 1 m/s is 0, but a time step of ")
+    assert f"reproduces no restitution below {step.least_restitution:.3g} (" in warning
+    assert warning.endswith("the number 0 is exact.")
+
+
 def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
     """The contact stops in one step; unloading, which takes longer than loading at restitution 1, is not resolved."""
     steps = [plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={e}" for pair in PAIRS))).step for e in (0, 1)]

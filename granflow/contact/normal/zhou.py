@@ -39,7 +39,6 @@ REST_DAMPING = 0.1
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
 
-
 _step_mean = build_step_mean(DAMPING_POWER)
 
 
@@ -178,7 +177,9 @@ class Zhou(NormalLaw):
         viscous, excess = 0.0 * stiffness, 0.0 * stiffness
         if ti.static(self.rest_damping > 0.0):
             reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
-            damping = ti.select(reloads, constants.rest_damping * reloading_damping(contact, tangent), 0.0)
+            loading_energy = 0.4 * stiffness * ti.sqrt(radius * overlap_max) * overlap_max * overlap_max
+            ratio = constants.rest_damping
+            damping = ti.select(reloads, ratio * reloading_damping(contact, tangent, loading_energy), 0.0)
             viscous += damping * rate
             excess += 0.5 * damping * contact.time_step / contact.mass_eff * viscous  # `rate` precedes its deceleration
         if ti.static(self.rate_dependent):

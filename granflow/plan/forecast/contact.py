@@ -53,7 +53,8 @@ class TouchingPair:
 class ContactForces:
     """Force of the normal and the cohesion model of a pair, by their reference implementations; keeps the history.
 
-    `time_step` [s]: for which models average their damping.
+    `time_step` [s]: for which models average their damping. At rest, an inelastic contact (restitution 0) carries any
+    load up to the loading curve, which does not depend on the restitution: it is evaluated for the restitution 1.
     """
 
     def __init__(self, laws: ContactLaws, pair: TouchingPair, time_step: float) -> None:
@@ -61,8 +62,9 @@ class ContactForces:
         self.laws += [(-1.0, laws.cohesion)] if laws.cohesion is not None else []
         self.pair, self.time_step = pair, time_step
         self.reset()
+        loading = replace(pair.pair, restitution=1.0) if pair.pair.restitution == 0.0 else pair.pair
         self.constants = [
-            SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(pair.pair), strict=False)))
+            SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(loading), strict=False)))
             for _, law in self.laws
         ]
 
