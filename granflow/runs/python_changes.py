@@ -54,7 +54,8 @@ def changed_plan(plan: Plan, checkpoint: Checkpoint) -> Plan:
     """
     part = Part.of(checkpoint)["changes"]
     part.mapping(KEYS)
-    capacity = part["particle_capacity"].integer(plan.particle_capacity, MOST_PARTICLES)
+    # A scene with more particles than that of the checkpoint is refused later, with the keys that differ.
+    capacity = max(part["particle_capacity"].integer(1, MOST_PARTICLES), plan.particle_capacity)
     features = replace(plan.features, external_forces=part["external_forces"].flag())
     plan = replace(plan, particle_capacity=capacity, features=features)
     part["walls"].mapping()
