@@ -14,6 +14,7 @@ from granflow.cli.calibrate import add_calibrate
 from granflow.cli.compare import add_compare
 from granflow.cli.examples import add_example, add_examples
 from granflow.cli.explain import add_explain
+from granflow.cli.memory_limit import refuse_low_memory_limit
 from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
@@ -51,6 +52,7 @@ def _verb(options: argparse.Namespace) -> int:
     GranflowError, errors of files and interrupts are printed without a traceback; all other exceptions propagate.
     """
     try:
+        refuse_low_memory_limit()
         with stop_signals():
             return options.verb(options)
     except GranflowError as error:
