@@ -15,6 +15,6 @@ def refuse_low_memory_limit() -> None:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST:
         raise GranflowError(
-            f"the memory limit of the process (ulimit -v) is {limit / 2**20:.0f} MiB, but granflow needs at least "
+            f"the memory limit of the process (ulimit -v) is {limit // 2**20} MiB, but granflow needs at least "
             f"{LEAST // 2**20} MiB."
         )
