@@ -86,7 +86,8 @@ def run_and_sample(sandbox: Sandbox) -> FinishedProcess:
     assert len(late) > 5, f"the run is too short for sampling: {samples}"
     memory, files = [sample[1] for sample in late], [sample[2] for sample in late]
     assert max(memory) <= GROWTH * memory[0], f"resident memory [kB] grows: {memory[::10]}"
-    assert max(files) <= min(files) + 3, f"open files: {sorted(set(files))}"  # a frame or a checkpoint being written
+    # a frame of three files and a checkpoint may be written; a file left open by each frame would be a hundred
+    assert max(files) <= min(files) + 5, f"open files: {sorted(set(files))}"
     return finished
 
 
