@@ -94,9 +94,9 @@ def simulation_for(case: Case, law: str, precision: str, threads: int, skin: str
 
 
 def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
-    """Engine of the simulation, forces computed, for measurements of its phases."""
+    """Engine of the simulation after the first step, which sets the walls, for measurements of its phases."""
     simulation = simulation_for(case, law, precision, threads, skin)
-    simulation.snapshot()
+    simulation.step(1)
     return simulation.engine
 
 
