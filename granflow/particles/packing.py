@@ -213,18 +213,19 @@ def separation(
     is mobile. The relative overlap is over the sum of the radii; 0 without overlapping pairs.
     """
     first, second = pairs
-    branch = position[first] - position[second]
+    branch = [row[first] - row[second] for row in np.ascontiguousarray(position.T)]
     contact_distance = radius[first] + radius[second]
-    squared = np.einsum("ij,ij->i", branch, branch)
-    overlapping = squared < contact_distance * contact_distance
-    first, second, branch = first[overlapping], second[overlapping], branch[overlapping]
-    contact_distance = contact_distance[overlapping]
+    x, y, z = branch
+    squared = x * x + z * z + y * y
+    overlapping = np.flatnonzero(squared < contact_distance * contact_distance)
+    first, second, contact_distance = first[overlapping], second[overlapping], contact_distance[overlapping]
     distance = np.maximum(np.sqrt(squared[overlapping]), 1e-12 * contact_distance)
-    displacement = branch * ((contact_distance - distance) / distance / (mobility[first] + mobility[second]))[:, None]
+    factor = (contact_distance - distance) / distance / (mobility[first] + mobility[second])
     shift = np.empty_like(position)
     for axis in range(3):
-        shift[:, axis] = np.bincount(first, displacement[:, axis], len(position))
-        shift[:, axis] -= np.bincount(second, displacement[:, axis], len(position))
+        displacement = branch[axis][overlapping] * factor
+        shift[:, axis] = np.bincount(first, displacement, len(position))
+        shift[:, axis] -= np.bincount(second, displacement, len(position))
     worst = float((1 - distance / contact_distance).max()) if len(first) else 0.0
     return shift * mobility[:, None], worst
 

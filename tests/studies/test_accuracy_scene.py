@@ -153,7 +153,8 @@ def test_files_without_matplotlib(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
     study = measure_scene(SceneTask(drop, (), None), 0.01, shares=(0.3, 0.1), precisions=("f64",))
-    reference, coarse, fine = study.points
+    reference, coarse, fine, *adaptive = study.points
+    assert [(point.family, point.share) for point in adaptive] == [("adaptive", 0.3), ("adaptive", 0.1)]
     assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
     assert study.best is not None and len(coarse.seconds) == 3
     pytest.importorskip("matplotlib")
