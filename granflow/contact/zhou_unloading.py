@@ -72,11 +72,11 @@ def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_st
 
 @ti.func
 def reloading_damping(contact, tangent, loading_energy):
-    """Damping [N s/m] of a contact that reloads, for the damping ratio 1; not from the paper.
+    """Damping c [N s/m] of a contact that reloads, for the damping ratio 1, and its stiffness number; not in the paper.
 
-        c = 2 sqrt(K M) (1 - K dt^2/M) / (1 + (d' / (s v))^2)        K dt^2/M < 1, else 0
+        c = 2 sqrt(K M) (1 - n) / (1 + (d' / (s v))^2),      n = K dt^2/M < 1, else 0
 
-    with s = REST_SPEED. The first factor preserves the stability limit of dense packings, 4 K dt^2/M + 4 c dt/M <= 4,
+    with s = REST_SPEED. The first factor preserves the stability limit of dense packings, 4 n + 4 c dt/M <= 4,
     for damping ratios up to 1/2: the damping acts on approach only, in half of the steps of the fastest mode. The
     second one restricts the damping to vibrations that are slow compared with the impact velocity v that causes the
     maximum overlap (Zhou 2011, Eq. 5): 1 % of it remains in impacts of several particles.
@@ -84,10 +84,10 @@ def reloading_damping(contact, tangent, loading_energy):
     tangent:         K [N/m], that of unloading
     loading_energy:  M v^2 / 2 [J]
     """
-    stiffness_number = tangent / contact.mass_eff * contact.time_step * contact.time_step
-    energy = 0.5 * contact.mass_eff * contact.overlap_rate * contact.overlap_rate / REST_SPEED**2
-    slow = loading_energy / (loading_energy + energy)
-    return 2.0 * ti.sqrt(tangent * contact.mass_eff) * ti.max(1.0 - stiffness_number, 0.0) * slow
+    mass, rate = contact.mass_eff, contact.overlap_rate
+    stiffness_number = tangent * contact.time_step * (contact.time_step / mass)
+    slow = loading_energy / (loading_energy + mass * rate * rate * (0.5 / REST_SPEED**2))
+    return 2.0 * ti.sqrt(tangent * mass) * ti.max(1.0 - stiffness_number, 0.0) * slow, stiffness_number
 
 
 @ti.func

@@ -23,8 +23,10 @@ def near_pairs(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[
     found: list[np.ndarray] = [np.empty((2, 0), dtype=np.int64)]
     for class_index, larger in enumerate(classes):
         for smaller in classes[class_index:]:
-            spheres = position[smaller], radius[smaller], position[larger], radius[larger]
-            first, second = cross_pairs(*spheres, reach, same=smaller is larger)
+            if smaller is larger:
+                first, second = pairs_within(position[larger], radius[larger], reach)
+            else:
+                first, second = cross_pairs(position[smaller], radius[smaller], position[larger], radius[larger], reach)
             found.append(np.stack([smaller[first], larger[second]]))
     first, second = np.concatenate(found, axis=1)
     return first, second
@@ -42,18 +44,37 @@ def size_classes(radius: np.ndarray) -> Iterator[np.ndarray]:
         yield np.flatnonzero(level == each)
 
 
+def pairs_within(position: np.ndarray, radius: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (p,), (p,) of all pairs of spheres with a gap below `reach` [m], each pair once, smaller index first.
+
+    `position` (n, 3) [m], `radius` (n,) [m], n > 0. Visits the rest of the own row of cells and four of the eight
+    adjacent rows. The pairs have the order in which the smaller indices find their partners in all nine rows.
+    """
+    key_of = CellKeys(position.min(axis=0), position.max(axis=0), 2 * radius.max() + reach)
+    keys, count = key_of(position), len(position)
+    order = np.argsort(keys, kind="stable")
+    keys, columns, radius = keys[order], np.ascontiguousarray(position[order].T), radius[order]
+    found, places = [], []
+    for row, shift in list(enumerate(key_of.adjacent_rows()))[4:]:
+        start = np.arange(1, count + 1) if shift == 0 else np.searchsorted(keys, keys + (shift - 1), side="left")
+        stop = np.searchsorted(keys, keys + (shift + 1), side="right")
+        querying, entry = expanded(start, stop - start)
+        one, other = close_pairs(columns, radius, columns, radius, reach, querying, entry)
+        pair = np.stack([order[one], order[other]])
+        reversed_pair = pair[0] > pair[1]
+        found.append(np.where(reversed_pair, pair[::-1], pair))
+        rows, entries = np.where(reversed_pair, 8 - row, row), np.where(reversed_pair, one, other)
+        places.append((rows * count + found[-1][0]) * count + entries)
+    first, second = np.concatenate(found, axis=1)[:, np.argsort(np.concatenate(places))]
+    return first, second
+
+
 def cross_pairs(
-    first: np.ndarray,
-    first_radius: np.ndarray,
-    second: np.ndarray,
-    second_radius: np.ndarray,
-    reach: float,
-    same: bool = False,
+    first: np.ndarray, first_radius: np.ndarray, second: np.ndarray, second_radius: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Indices (p,), (p,) into the first and the second set of all pairs between them with a gap below `reach` [m].
 
-    `first` (n, 3), `second` (m, 3) [m]: centers; radii (n,), (m,) [m]. `same`: both sets are the same, so that each
-    pair is returned once, smaller index first; otherwise a sphere in both sets is a pair with itself.
+    `first` (n, 3), `second` (m, 3) [m]: centers; radii (n,), (m,) [m]. A sphere in both sets is a pair with itself.
     """
     if len(first) == 0 or len(second) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -63,10 +84,10 @@ def cross_pairs(
     keys = key_of(second)
     order = np.argsort(keys, kind="stable")
     columns, other_columns = np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
-    found = []
-    for i, j in cell_neighbors(key_of, key_of(first), keys[order], order):
-        once = i < j if same else slice(None)  # before the distances, which take most of the time
-        found.append(close_pairs(columns, first_radius, other_columns, second_radius, reach, i[once], j[once]))
+    found = [
+        close_pairs(columns, first_radius, other_columns, second_radius, reach, *members)
+        for members in cell_neighbors(key_of, key_of(first), keys[order], order)
+    ]
     return np.concatenate([i for i, _ in found]), np.concatenate([j for _, j in found])
 
 

@@ -177,6 +177,7 @@ def test_missing_matplotlib_omits_only_the_figure(monkeypatch, tmp_path, capsys)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_no_case_is_a_defect(tmp_path):
     pytest.importorskip("matplotlib")
     outcomes, missing = report.stability(tmp_path, False, lambda each: None)

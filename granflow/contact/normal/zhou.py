@@ -178,10 +178,13 @@ class Zhou(NormalLaw):
         if ti.static(self.rest_damping > 0.0):
             reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
             loading_energy = 0.4 * stiffness * ti.sqrt(radius * overlap_max) * overlap_max * overlap_max
-            ratio = constants.rest_damping
-            damping = ti.select(reloads, ratio * reloading_damping(contact, tangent, loading_energy), 0.0)
-            viscous += damping * rate
-            excess += 0.5 * damping * contact.time_step / contact.mass_eff * viscous  # `rate` precedes its deceleration
+            damping, stiffness_number = reloading_damping(contact, tangent, loading_energy)
+            damping *= constants.rest_damping
+            # The loss is booked with `rate`, half a step before the force. The mean over the step is smaller by half of
+            # the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
+            late = 0.5 * damping * (contact.time_step / contact.mass_eff) + 0.25 * stiffness_number
+            viscous = ti.select(reloads, damping * rate, 0.0)
+            excess = ti.select(reloads, damping * rate * late, 0.0)
         if ti.static(self.rate_dependent):
             viscous += self.viscous_force(constants, contact)
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)

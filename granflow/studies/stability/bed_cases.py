@@ -160,4 +160,5 @@ def _overlap_for_load(plan: Plan, index: int, load: float, masses: np.ndarray) -
         arguments = (constants, radius_eff, mass_eff, plan.time_step, overlap, 0.0, history)
         return plan.law.reference_force(*arguments)[0] - load
 
-    return float(brentq(excess, 0.0, RADIUS, xtol=1e-15 * RADIUS, rtol=1e-15))
+    least = 1e-15 * RADIUS  # without an overlap the particles are not in contact and have no force
+    return float(brentq(excess, least, RADIUS, xtol=least, rtol=1e-15))
