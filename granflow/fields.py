@@ -219,7 +219,7 @@ FIELD_QUANTITIES = _by_name(
 )
 """Arrays of coarse-grained fields, one entry per grid point."""
 
-TOTAL_QUANTITIES = _by_name(
+_STATE_QUANTITIES = _by_name(
     (
         Quantity("particle_count", "N", "1", "particles present"),
         Quantity("inserted_count", "", "1", "particles inserted since the start"),
@@ -234,6 +234,11 @@ TOTAL_QUANTITIES = _by_name(
         Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
         Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
+    )
+)
+
+ENERGY_BUDGET_QUANTITIES = _by_name(
+    (
         Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, zero at the origin"),
         Quantity("elastic_energy", "Ee", "J", "recoverable energy stored in contacts"),
         Quantity("plastic_dissipation", "", "J", "energy dissipated by unloading steeper than loading"),
@@ -259,6 +264,9 @@ TOTAL_QUANTITIES = _by_name(
         ),
     )
 )
+"""Totals that require `output.energy_budget`."""
+
+TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
 """Numbers of Snapshot.totals and columns of the time series."""
 
 FLOW_METER_QUANTITIES = _by_name(

@@ -32,6 +32,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain", "particles", "output"), regions.lees_edwards),
     (("output", "stages", "domain"), output.field_grids),
     (("output", "gravity", "domain"), output.metrics),
+    (("output", "expect"), output.expected_names),
     (("output", "expect"), output.expected_parts),
     (("output", "expect"), output.expected_metrics),
     (("output", "expect"), output.wall_forces),

@@ -172,7 +172,7 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
         "motion: {kind: vibration, direction: [0, 0, 1], amplitude: 1 mm, frequency: 25}}",
         "output.flow_meters={out: {point: [0, 0, 1 mm], normal: [0, 0, 1], radius: 3 mm}}",
         "expect=[{quantity: particle_count, equals: 100, tolerance: 0}, "
-        "{quantity: energy_error, below: 1, any_scale: true}]",
+        "{quantity: kinetic_energy, below: 1, any_scale: true}]",
     ]
     one, two = scene_with(tmp_path, rain, *extra), scene_with(tmp_path, rain, *extra, "scale=2")
     beads, wall = two.particles["beads"], two.walls["plate"]
@@ -185,7 +185,7 @@ def test_scale_changes_equipment_and_amounts_only(tmp_path):
     assert (beads.diameter, beads.velocity, two.run, two.materials, two.numerics) == (
         0.004, one.particles["beads"].velocity, one.run, one.materials, one.numerics,
     )  # fmt: skip
-    assert [each.quantity for each in two.expect] == ["energy_error"] and len(one.expect) == 2
+    assert [each.quantity for each in two.expect] == ["kinetic_energy"] and len(one.expect) == 2
     assert two.remarks == (
         "scale 2: lengths of the equipment are multiplied by 2, counts and masses of particles by 8; "
         "diameters, velocities and times are not.",

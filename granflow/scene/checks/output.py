@@ -4,11 +4,15 @@ import math
 from collections.abc import Iterable, Iterator
 
 from granflow.fields import (
+    ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
     INSERTION_QUANTITIES,
     METRIC_QUANTITIES,
     OUTLET_QUANTITIES,
+    RUN_QUANTITIES,
+    TOTAL_QUANTITIES,
     WALL_FORCE_QUANTITIES,
+    WALL_QUANTITIES,
 )
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
@@ -27,6 +31,7 @@ from granflow.scene.schema.insertion import TimedInsertion
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.shapes import Box
 from granflow.scene.schema.walls import Plane
+from granflow.scene.suggest import nearest
 
 MOST_CELLS = 2_000_000
 """Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
@@ -99,6 +104,38 @@ def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
         quantity, dot, part = expectation.quantity.partition(".")
         if dot:
             yield ("expect", index, "quantity"), quantity, part
+
+
+_WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+"""Quantities of the whole run."""
+
+_PARTS = {
+    **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
+    **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
+    **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
+    **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
+    **{name: "the name of a metric" for name in METRIC_QUANTITIES},
+    "timings": "forces or another phase",
+}
+"""What follows the point after a quantity."""
+
+
+def expected_names(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
+    for index, expectation in enumerate(parts.scene.expect):
+        path, (quantity, dot, _part) = ("expect", index, "quantity"), expectation.quantity.partition(".")
+        if dot and quantity not in _PARTS and quantity in _WHOLE:
+            yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
+        elif not dot and quantity not in _WHOLE and quantity in _PARTS:
+            yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
+        elif quantity not in _WHOLE and quantity not in _PARTS:
+            suggestion = nearest(quantity, [*_WHOLE, *_PARTS])
+            remedy = (
+                f"Did you mean {suggestion}?" if suggestion else "Give one such as kinetic_energy or mass_flow.NAME"
+            )
+            yield Fault(path, f"there is no such quantity. {remedy}")
+        elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
+            yield Fault(path, "output.energy_budget is false; set it to true")
 
 
 def expected_parts(parts: PartialScene) -> Iterator[Fault]:
