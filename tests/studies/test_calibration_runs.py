@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from scene_runner import REDUCED_HEAP
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 
@@ -50,7 +51,15 @@ search: {{trials: {trials}}}
 
 ANGLE = """\
 scenes:
-  heap: {{scene: {scene}, set: {{expect: [], scale: 0.5, output.interval: 0.1 s, output.particles: false}}}}
+  heap:
+    scene: {scene}
+    set:
+      expect: []
+      output.interval: 0.1 s
+      output.particles: false
+      stages.0.duration: 0.15 s
+      stages.1.duration: 0.6 s
+{reduced}
 parameters:
   restitution: {{keys: pairs.glass-glass.restitution, from: 0.3, to: 0.9}}
 targets:
@@ -119,7 +128,8 @@ def test_killed_calibration_continues(tmp_path):
 
 def test_restitution_cannot_be_identified_from_an_angle_of_repose(tmp_path):
     pytest.importorskip("optuna")
-    (tmp_path / "calibration.yaml").write_text(ANGLE.format(scene=REPOSE))
+    reduced = "\n".join(f"      {key}: {value}" for key, value in (each.split("=", 1) for each in REDUCED_HEAP))
+    (tmp_path / "calibration.yaml").write_text(ANGLE.format(scene=REPOSE, reduced=reduced))
     done = granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "2")
     assert "restitution cannot be identified from the targets" in done.stdout
     (row,) = rows(tmp_path / "out" / "calibration" / "best.csv")
