@@ -163,7 +163,9 @@ def _rate_reason(scene: Scene, features: Features) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
     normal = scene.contact.normal
     if not features.rate_dependent:
-        return f"the {normal.law} contact model with these settings has no viscous term"
+        if scene.contact.options("normal").get("rest_damping"):
+            return "contact.normal.damping_ratio is 0; rest_damping acts only on contacts that reload"
+        return f"the {normal.law} contact model with these settings has no viscous force"
     damping_ratio = scene.contact.options("normal").get("damping_ratio")
     if damping_ratio is not None:
         return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
@@ -181,8 +183,8 @@ def _walls_reason(scene: Scene) -> str:
 def _moving_reason(scene: Scene, features: Features) -> str:
     if not features.moving_walls:
         return "no wall has a motion"
-    name = next(name for name, wall in scene.walls.items() if wall.motion)
-    return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+    names = [name for name, wall in scene.walls.items() if wall.motion]
+    return f"motion of {', '.join(names)} ({scene.where('walls', names[0], 'motion')})"
 
 
 def _force_controlled_reason(scene: Scene, features: Features) -> str:
@@ -226,8 +228,8 @@ def _lees_edwards_reason(scene: Scene) -> str:
     lees_edwards = scene.domain.lees_edwards
     if lees_edwards is None:
         return "the domain is not sheared"
-    description = f"{lees_edwards.flow} changes with {lees_edwards.gradient} by {lees_edwards.rate:g} 1/s"
-    return f"velocity along {description} ({scene.where('domain', 'lees_edwards')})"
+    description = f"flow along {lees_edwards.flow}, gradient along {lees_edwards.gradient}"
+    return f"shear rate {lees_edwards.rate:g} 1/s, {description} ({scene.where('domain', 'lees_edwards')})"
 
 
 def _sizes_reason(scene: Scene) -> str:

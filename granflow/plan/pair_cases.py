@@ -77,8 +77,8 @@ def _refuse_dashpot(scene: Scene, slot: str) -> None:
     damping = scene.contact.options(slot)["damping"]
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
-        f"the dashpot of the normal model, but {scene.contact.name('normal')} has none; write 0, or choose "
-        f"{' or '.join(damped)} as normal model."
+        f"the dashpot from which the normal model obtains the restitution, but {scene.contact.name('normal')} has no "
+        f"such dashpot; write 0, or choose {', '.join(damped[:-1])} or {damped[-1]} as normal model."
     )
 
 

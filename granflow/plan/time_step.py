@@ -101,7 +101,7 @@ def choose_time_step(
         limited_by = "given in the scene"
     if value > stable:
         raise ValueError(
-            f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
+            f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
             f"Lower it to {chosen:.2g} s or remove it."
         )
     least, warnings = _restitution_reached(value, pair_cases, law, velocity)
@@ -227,10 +227,14 @@ def _restitution_reached(
 def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
     """Sentences on a material pair whose restitution the step cannot reproduce; no step can for e(v) = 0."""
     remedy = 0.99 * step * required / bound
-    advice = f"A run.time_step of {remedy:.3g} s is short enough."
     if required == 0.0:
-        advice = "No time step reproduces 0 of a restitution that depends on the velocity; the number 0 is exact."
+        return (
+            f"{pair}: the restitution at {velocity:.3g} m/s is 0, and no time step reproduces 0 of a restitution that "
+            f"depends on the velocity: the smallest is {bound:.3g} at a time step of {step:.3g} s ({contact}). A "
+            "constant restitution of 0 is exact."
+        )
     return (
         f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s "
-        f"reproduces no restitution below {bound:.3g} ({contact}). {advice}"
+        f"reproduces no restitution below {bound:.3g} ({contact}). A run.time_step of "
+        f"{remedy:.3g} s is short enough."
     )

@@ -31,6 +31,8 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     from granflow.runs.checkpoint_validation import check_particles_alone  # imports the engine
 
     location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
+    if not Path(scene.start_from).exists():
+        raise SceneError(f"{location} it does not exist; give the directory of a completed run.")
     checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
     if checkpoint is None:
         reason = f": {skipped[0]}" if skipped else "; give the directory of a completed run."

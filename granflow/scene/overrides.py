@@ -100,9 +100,9 @@ def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int,
         depth and model_at(SceneInput, tuple(keys[:depth])) is None
     ):
         known = list(entries) if depth else list(SceneInput.model_fields)
-        parent = dotted(keys[:depth]) or "the scene"
-        remedy = suggestion_or_list(keys[depth], known, f"keys in {parent}")
-        raise _Refused(f"{dotted(keys[: depth + 1])} is not in the scene. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
+        parent, fault = (f"keys in {dotted(keys[:depth])}", "in the scene") if depth else ("known keys", "a known key")
+        remedy = suggestion_or_list(keys[depth], known, parent)
+        raise _Refused(f"{dotted(keys[: depth + 1])} is not {fault}. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
     return Node(position, entries={})
 
 

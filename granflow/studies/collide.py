@@ -114,7 +114,7 @@ def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
         )
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"Unknown preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
+            raise GranflowError(f"there is no preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
 
 
 def _sentence(remedy: str) -> str:

@@ -236,7 +236,7 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
     solids = []
     for name in (first, second or first):
         if name not in PRESETS:
-            raise GranflowError(f"Unknown preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
+            raise GranflowError(f"there is no preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
         preset = PRESETS[name]
         solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
     try:

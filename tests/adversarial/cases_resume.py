@@ -255,7 +255,7 @@ def resumptions() -> list[Case]:
             "`run --overwrite` with a time step that is too large",
             overwrite("--set run.time_step=1s"),
             2,
-            ("above the stable",),
+            ("above the stability limit",),
             verified="the earlier run is intact",
         ),
         case(

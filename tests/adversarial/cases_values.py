@@ -22,7 +22,9 @@ def values() -> list[Case]:
     """Extreme values in a scene."""
     step = ("run: {duration: 50 ms}", "run: {duration: 50 ms, time_step: 1e-30}")
     return [
-        rejected("step_large", "a time step of 1 ms", [("50 ms}", "50 ms, time_step: 1 ms}")], "above the stable"),
+        rejected(
+            "step_large", "a time step of 1 ms", [("50 ms}", "50 ms, time_step: 1 ms}")], "above the stability limit"
+        ),
         rejected("step_small", "a time step of 1e-30 s", [step], "time_step|steps|years|long"),
         rejected("duration", "a duration of 1e30 s", [("50 ms", "1e30")], "duration|steps|years|long"),
         rejected(

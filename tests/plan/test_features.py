@@ -38,7 +38,13 @@ def test_each_feature_has_a_reason(tmp_path):
         ((), "moving_walls", "off", "no wall has a motion", None),
         ((), "energy_budget", "off", "output.energy_budget is off", "output:"),
         ((), "one_material", "on", "all particles are of the material glass", None),
-        ((), "rate_dependent", "off", "the zhou contact model with these settings has no viscous term", None),
+        (
+            (),
+            "rate_dependent",
+            "off",
+            "contact.normal.damping_ratio is 0; rest_damping acts only on contacts that reload",
+            None,
+        ),
         ((), "cohesion", "off", "contact.cohesion is none", None),
         (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
         (
@@ -64,7 +70,7 @@ def test_each_feature_has_a_reason(tmp_path):
             "output.wall_forces selects floor",
             "wall_forces",
         ),
-        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "walls.floor moves", "floor"),
+        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "motion of floor", "floor"),
         (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz contact model obtains", "normal"),
         (
             ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),

@@ -154,8 +154,8 @@ def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_
     location, message = problem.split(": ", 1)
     assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
     assert message == (
-        f"run.time_step is 0.001 s, above the stable {allowed_step.stable_below:.3g} s (beads-beads at 1 m/s). "
-        f"Lower it to {allowed_step.value:.2g} s or remove it."
+        f"run.time_step is 0.001 s, above the stability limit {allowed_step.stable_below:.3g} s (beads-beads at "
+        f"1 m/s). Lower it to {allowed_step.value:.2g} s or remove it."
     )
 
 
@@ -195,9 +195,9 @@ def test_velocity_dependent_restitution_0_causes_a_warning(tmp_path):
     fit = "{sigma: 1.2, psi: 0.54, limit_velocity: 0.5 m/s}"
     step = plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={fit}" for pair in PAIRS))).step
     (warning,) = step.warnings
-    assert warning.startswith("glass-glass: the restitution at 1 m/s is 0, but a time step of ")
-    assert f"reproduces no restitution below {step.least_restitution:.3g} (" in warning
-    assert warning.endswith("the number 0 is exact.")
+    assert warning.startswith("glass-glass: the restitution at 1 m/s is 0, and no time step reproduces 0 ")
+    assert f": the smallest is {step.least_restitution:.3g} at a time step of " in warning
+    assert warning.endswith("A constant restitution of 0 is exact.")
 
 
 def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
@@ -277,7 +277,7 @@ def test_stiffness_of_a_linear_tangential_spring_bounds_the_step(tmp_path):
 def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
     given = ["contact.tangential={law: mindlin, damping: 0.5}", "pairs.glass-glass.friction=0.5"]
     with pytest.raises(
-        SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has none; write 0, or choose hertz"
+        SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has no such dashpot; write 0, or choose hertz"
     ):
         plan_for(scene_of(tmp_path, *given))
     assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)

@@ -172,4 +172,4 @@ def test_the_hopper_scene_is_accurate_to_one_percent(taichi_f64):
     try:
         assert restitution_error(coarse) > 0.01
     except SceneError as error:
-        assert "above the stable" in str(error)
+        assert "above the stability limit" in str(error)

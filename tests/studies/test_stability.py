@@ -93,7 +93,7 @@ def test_pairs_reach_the_given_or_the_smallest_stable_restitution(taichi_f64):
 def test_time_step_above_the_stable_one_is_rejected(taichi_f64):
     refused = run_case(case_of(partial(rebound_result, (ParticlePair(),), 0, "f64", 2.0)))
     assert refused.kind == "refused"
-    assert "above the stable" in refused.assessment
+    assert "above the stability limit" in refused.assessment
 
 
 def test_measured_stability_limit_matches_theory_and_exceeds_the_checked_one(taichi_f64):

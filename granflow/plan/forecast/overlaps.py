@@ -58,8 +58,8 @@ def impact_forecast(
     warning = None
     if largest.overlap > limit:
         warning = (
-            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)} of "
-            f"the radius, {_above(scene)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
+            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)}, "
+            f"{_above(scene)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
         )
     return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
 
@@ -82,8 +82,8 @@ def static_forecasts(
         warning = None
         if largest.overlap > scene.numerics.max_overlap and (cohesive is None or cohesive.warning is None):
             warning = (
-                f"{largest.pair.name}: under {load.cause} contacts overlap by up to {_share(largest.overlap)} of the "
-                f"radius, {_above(scene)} {_remedy(largest)}."
+                f"{largest.pair.name}: under {load.cause} contacts overlap by up to {_share(largest.overlap)}, "
+                f"{_above(scene)} {_remedy(largest)}."
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
@@ -101,8 +101,8 @@ def cohesion_forecast(scene: Scene, laws: ContactLaws, pairs: Iterable[TouchingP
         assert laws.cohesion is not None
         keys = " or ".join(laws.cohesion.constant_names)
         warning = (
-            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)} of the "
-            f"radius, {_above(scene)} Lower {keys}, or {_remedy(largest, capital=False)}."
+            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)}, "
+            f"{_above(scene)} Lower {keys}, or {_remedy(largest, capital=False)}."
         )
     remark = f"{largest.pair.name}, without load"
     return Forecast("overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap)
@@ -151,4 +151,4 @@ def _remedy(largest: _Largest, capital: bool = True) -> str:
 
 
 def _share(overlap: float) -> str:
-    return f"{overlap:.3g}" if overlap < 1.0 else "more than 1"
+    return f"{overlap:.3g} of the radius" if overlap < 1.0 else "more than the radius"
