@@ -54,7 +54,7 @@ def scene(normal: object, rolling: str, seconds: float) -> gf.Scene:
 
 
 def measure(heap: gf.Scene, seconds: float, samples: int) -> dict[str, np.ndarray]:
-    """Times [s], kinetic energies [J] of translation and rotation, and creep [radii/s] in each interval."""
+    """Times [s], kinetic energies [J] of translation and rotation, and largest speed [radii/s] over each interval."""
     rows, before = [], None
     with gf.Simulation(heap) as simulation:
         for _ in range(samples):
@@ -69,20 +69,20 @@ def measure(heap: gf.Scene, seconds: float, samples: int) -> dict[str, np.ndarra
             totals = snapshot.totals
             rows.append((snapshot.time, totals["kinetic_energy"], totals["rotational_energy"], moved))
         print(f"  elastic energy {totals['elastic_energy']:.3g} J, energy error {totals['energy_error']:.2g}")
-    return dict(zip(("time", "kinetic", "rotational", "creep"), np.array(rows).T, strict=True))
+    return dict(zip(("time", "kinetic", "rotational", "speed"), np.array(rows).T, strict=True))
 
 
 def draw(curves: dict[str, dict[str, np.ndarray]], path: str) -> None:
-    """Kinetic energy and creep over time."""
+    """Kinetic energy and largest speed over time."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 3.6), constrained_layout=True)
     for name, curve in curves.items():
         left.semilogy(curve["time"], curve["kinetic"], label=name)
-        right.semilogy(curve["time"], curve["creep"], label=name)
+        right.semilogy(curve["time"], curve["speed"], label=name)
     left.set(xlabel="time [s]", ylabel="kinetic energy [J]")
-    right.set(xlabel="time [s]", ylabel="largest displacement [radii/s]")
+    right.set(xlabel="time [s]", ylabel="largest speed [radii/s]")
     right.axhline(1e-6, color="0.6", linewidth=0.8)
     left.legend(fontsize=8)
     figure.savefig(path, dpi=110)
@@ -98,7 +98,7 @@ def main() -> None:
     for name, (normal, rolling) in CASES.items():
         print(name, flush=True)
         curves[name] = curve = measure(scene(normal, rolling, options.seconds), options.seconds, 50)
-        for key in ("kinetic", "rotational", "creep"):
+        for key in ("kinetic", "rotational", "speed"):
             print(f"  {key}: " + " ".join(f"{value:.2g}" for value in curve[key][4::5]), flush=True)
     draw(curves, options.out)
 

@@ -185,7 +185,7 @@ def test_command_prints_a_table_and_writes_csv(tmp_path, taichi_f64, capsys):
     ],
 )  # fmt: skip
 def test_restitution_error_of_a_time_step_fraction_is_as_documented(law, restitution, fraction, largest):
-    """docs/accuracy.md: largest deviation [%] of a collision over the phases of first touch, and not far below it."""
+    """accuracy.md: largest deviation [%] of a collision over the phases of first contact, and not far below it."""
     scene = build_scene(
         {"beads": particle_group([[0, 0, 0.1], [0, 0, 0.2]])}, normal=law, pair={"restitution": restitution},
         run={"duration": 1.0, "velocity_max": 1.0}, numerics={"time_step_fraction": fraction, "rayleigh_fraction": 1.0},
