@@ -20,6 +20,9 @@ CASES = {
 }
 """Normal and rolling model of each curve."""
 
+SAMPLES = 50
+"""Number of intervals in which the motion is measured."""
+
 
 def scene(normal: object, rolling: str, seconds: float) -> gf.Scene:
     """A pyramid of 180 particles above 13 x 13 fixed particles."""
@@ -72,8 +75,8 @@ def measure(heap: gf.Scene, seconds: float, samples: int) -> dict[str, np.ndarra
     return dict(zip(("time", "kinetic", "rotational", "creep"), np.array(rows).T, strict=True))
 
 
-def draw(curves: dict[str, dict[str, np.ndarray]], path: str) -> None:
-    """Kinetic energy and creep over time."""
+def draw(curves: dict[str, dict[str, np.ndarray]], seconds: float, path: str) -> None:
+    """Kinetic energy and creep over time; the simulated time is `seconds` [s]."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
@@ -82,7 +85,7 @@ def draw(curves: dict[str, dict[str, np.ndarray]], path: str) -> None:
         left.semilogy(curve["time"], curve["kinetic"], label=name)
         right.semilogy(curve["time"], curve["creep"], label=name)
     left.set(xlabel="time [s]", ylabel="kinetic energy [J]")
-    right.set(xlabel="time [s]", ylabel="largest displacement [radii/s]")
+    right.set(xlabel="time [s]", ylabel=f"largest mean speed in {seconds / SAMPLES:g} s [radii/s]")
     right.axhline(1e-6, color="0.6", linewidth=0.8)
     left.legend(fontsize=8)
     figure.savefig(path, dpi=110)
@@ -97,10 +100,10 @@ def main() -> None:
     curves = {}
     for name, (normal, rolling) in CASES.items():
         print(name, flush=True)
-        curves[name] = curve = measure(scene(normal, rolling, options.seconds), options.seconds, 50)
+        curves[name] = curve = measure(scene(normal, rolling, options.seconds), options.seconds, SAMPLES)
         for key in ("kinetic", "rotational", "creep"):
             print(f"  {key}: " + " ".join(f"{value:.2g}" for value in curve[key][4::5]), flush=True)
-    draw(curves, options.out)
+    draw(curves, options.seconds, options.out)
 
 
 if __name__ == "__main__":

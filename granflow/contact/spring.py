@@ -14,8 +14,8 @@ from granflow.contact.theory import MIN_VELOCITY_SHARE
 from granflow.device_functions import DeviceObject, ti
 
 STIFFNESS = Choice(
-    "onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at this "
-    "velocity) or {value: 1e4 N/m}",
+    "one of onset (Zhou 2011, Eq. 19, for each contact at its impact velocity), {reference_velocity: 1 m/s} (Eq. 19 at "
+    "this velocity) or {value: 1e4 N/m}",
     words=("onset",),
     keyed={
         "reference_velocity": Amount(

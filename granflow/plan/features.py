@@ -161,12 +161,13 @@ def _model_reason(scene: Scene, slot: str, on: bool) -> str:
 
 def _rate_reason(scene: Scene, features: Features) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
-    normal = scene.contact.normal
+    normal, options = scene.contact.normal, scene.contact.options("normal")
+    damping_ratio = options.get("damping_ratio")
+    if damping_ratio is not None:
+        rest = "; rest_damping acts only on reloading" if not damping_ratio and options.get("rest_damping") else ""
+        return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')}){rest}"
     if not features.rate_dependent:
         return f"the {normal.law} contact model with these settings has no viscous term"
-    damping_ratio = scene.contact.options("normal").get("damping_ratio")
-    if damping_ratio is not None:
-        return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
     return (
         f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
     )

@@ -72,13 +72,13 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
 
 
 def _refuse_dashpot(scene: Scene, slot: str) -> None:
-    """Raise SceneError for the dashpot of a slot if the normal model has none, of which it is a multiple."""
+    """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a multiple."""
     damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
     damping = scene.contact.options(slot)["damping"]
     raise SceneError(
-        f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
-        f"the dashpot of the normal model, but {scene.contact.name('normal')} has none; write 0, or choose "
-        f"{' or '.join(damped)} as normal model."
+        f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, but the normal model "
+        f"{scene.contact.name('normal')} does not support damping in contact.{slot}; write 0, or choose "
+        f"{', '.join(damped[:-1])} or {damped[-1]} as normal model."
     )
 
 

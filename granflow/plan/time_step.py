@@ -226,11 +226,14 @@ def _restitution_reached(
 
 def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
     """Sentences on a material pair whose restitution the step cannot reproduce; no step can for e(v) = 0."""
-    remedy = 0.99 * step * required / bound
-    advice = f"A run.time_step of {remedy:.3g} s is short enough."
     if required == 0.0:
-        advice = "No time step reproduces 0 of a restitution that depends on the velocity; the number 0 is exact."
+        return (
+            f"{pair}: the velocity-dependent restitution is 0 at {velocity:.3g} m/s, which no time step reproduces; "
+            f"the smallest value at {step:.3g} s is {bound:.3g} ({contact}). For an exactly inelastic contact enter "
+            "restitution: 0."
+        )
     return (
         f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s "
-        f"reproduces no restitution below {bound:.3g} ({contact}). {advice}"
+        f"reproduces no restitution below {bound:.3g} ({contact}). A run.time_step of "
+        f"{0.99 * step * required / bound:.3g} s is short enough."
     )

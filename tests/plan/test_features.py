@@ -38,7 +38,7 @@ def test_each_feature_has_a_reason(tmp_path):
         ((), "moving_walls", "off", "no wall has a motion", None),
         ((), "energy_budget", "off", "output.energy_budget is off", "output:"),
         ((), "one_material", "on", "all particles are of the material glass", None),
-        ((), "rate_dependent", "off", "the zhou contact model with these settings has no viscous term", None),
+        ((), "rate_dependent", "off", "contact.normal.damping_ratio is 0", None),
         ((), "cohesion", "off", "contact.cohesion is none", None),
         (("friction: 0,", "friction: 0.4,"), "friction", "on", "pairs.glass-glass.friction is 0.4", "glass-glass"),
         (

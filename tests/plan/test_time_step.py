@@ -195,9 +195,9 @@ def test_velocity_dependent_restitution_0_causes_a_warning(tmp_path):
     fit = "{sigma: 1.2, psi: 0.54, limit_velocity: 0.5 m/s}"
     step = plan_for(scene_of(tmp_path, *(f"pairs.{pair}.restitution={fit}" for pair in PAIRS))).step
     (warning,) = step.warnings
-    assert warning.startswith("glass-glass: the restitution at 1 m/s is 0, but a time step of ")
-    assert f"reproduces no restitution below {step.least_restitution:.3g} (" in warning
-    assert warning.endswith("the number 0 is exact.")
+    assert warning.startswith("glass-glass: the velocity-dependent restitution is 0 at 1 m/s, which no time step ")
+    assert f"the smallest value at {step.value:.3g} s is {step.least_restitution:.3g} (" in warning
+    assert warning.endswith("For an exactly inelastic contact enter restitution: 0.")
 
 
 def test_restitution_0_requires_neither_a_warning_nor_a_shorter_step(tmp_path):
@@ -277,7 +277,7 @@ def test_stiffness_of_a_linear_tangential_spring_bounds_the_step(tmp_path):
 def test_tangential_dashpot_requires_that_of_the_normal_model(tmp_path):
     given = ["contact.tangential={law: mindlin, damping: 0.5}", "pairs.glass-glass.friction=0.5"]
     with pytest.raises(
-        SceneError, match=r"contact.tangential.damping is 0.5, .* zhou has none; write 0, or choose hertz"
+        SceneError, match=r"contact.tangential.damping is 0.5, .* model zhou does not .*; write 0, or choose hertz, "
     ):
         plan_for(scene_of(tmp_path, *given))
     assert plan_for(scene_of(tmp_path, "contact.normal=hertz", *given)).laws.damped_slots == ("tangential",)

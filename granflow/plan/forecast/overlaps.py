@@ -58,10 +58,10 @@ def impact_forecast(
     warning = None
     if largest.overlap > limit:
         warning = (
-            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)} of "
-            f"the radius, {_above(scene)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
+            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)}, "
+            f"{_above(scene)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
         )
-    return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
+    return Forecast("overlap of impacts", _radii(largest.overlap), remark, warning, "impact", largest.overlap)
 
 
 def static_forecasts(
@@ -82,13 +82,13 @@ def static_forecasts(
         warning = None
         if largest.overlap > scene.numerics.max_overlap and (cohesive is None or cohesive.warning is None):
             warning = (
-                f"{largest.pair.name}: under {load.cause} contacts overlap by up to {_share(largest.overlap)} of the "
-                f"radius, {_above(scene)} {_remedy(largest)}."
+                f"{largest.pair.name}: under {load.cause} contacts overlap by {_share(largest.overlap, 'up to ')}, "
+                f"{_above(scene)} {_remedy(largest)}."
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
         force = load.largest_force(2.0 * largest.pair.radius)
-        yield Forecast(name, f"up to {_share(largest.overlap)}", remark, warning, load.kind, largest.overlap, force)
+        yield Forecast(name, f"up to {_radii(largest.overlap)}", remark, warning, load.kind, largest.overlap, force)
 
 
 def cohesion_forecast(scene: Scene, laws: ContactLaws, pairs: Iterable[TouchingPair]) -> Forecast | None:
@@ -101,11 +101,11 @@ def cohesion_forecast(scene: Scene, laws: ContactLaws, pairs: Iterable[TouchingP
         assert laws.cohesion is not None
         keys = " or ".join(laws.cohesion.constant_names)
         warning = (
-            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)} of the "
-            f"radius, {_above(scene)} Lower {keys}, or {_remedy(largest, capital=False)}."
+            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)}, "
+            f"{_above(scene)} Lower {keys}, or {_remedy(largest, capital=False)}."
         )
     remark = f"{largest.pair.name}, without load"
-    return Forecast("overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap)
+    return Forecast("overlap by cohesion", _radii(largest.overlap), remark, warning, "cohesion", largest.overlap)
 
 
 def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> float:
@@ -150,5 +150,11 @@ def _remedy(largest: _Largest, capital: bool = True) -> str:
     return text[0].upper() + text[1:] if capital else text
 
 
-def _share(overlap: float) -> str:
-    return f"{overlap:.3g}" if overlap < 1.0 else "more than 1"
+def _share(overlap: float, prefix: str = "") -> str:
+    """An overlap over the radius in a sentence; larger ones than 1 are not computed exactly."""
+    return f"{prefix}{overlap:.3g} of the radius" if overlap < 1.0 else "more than the radius"
+
+
+def _radii(overlap: float) -> str:
+    """An overlap over the radius as a value of `granflow explain`."""
+    return f"{overlap:.3g} radii" if overlap < 1.0 else "more than 1 radius"
