@@ -34,7 +34,13 @@ from granflow.plan.scene_parts import planned_groups, planned_stages
 from granflow.plan.settings import settings_of
 from granflow.plan.size_classes import diameter_range, size_classes
 from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
-from granflow.plan.travel import refuse_fast_images, refuse_fast_rotation, refuse_fast_start, refuse_fast_walls
+from granflow.plan.travel import (
+    refuse_fast_images,
+    refuse_fast_rotation,
+    refuse_fast_start,
+    refuse_fast_walls,
+    share_of,
+)
 from granflow.plan.wall_control import controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
 
@@ -170,9 +176,12 @@ def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> 
     refuse_unresolved_drag(scene, plan.longest_time_step)
     refuse_fast_start(scene, initial_speeds(scene), plan.time_step, plan.radius_min)
     refuse_fast_rotation(scene, initial_rotation_rates(scene), plan.time_step)
-    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
-    refuse_fast_walls(scene, wall_speeds, plan.longest_time_step, limit)
-    refuse_fast_images(scene, plan.image_speed, plan.longest_time_step, min(plan.travel_limit, plan.skin))
+    step, skin = plan.longest_time_step, f"of the skin {plan.skin:.3g} m"
+    limit, displacement = plan.wall_travel_limit, plan.wall_displacement_limit
+    travel, share = share_of(limit, plan.radius_min), f"{displacement / plan.skin:.2g} {skin}"
+    refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
+    image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
+    refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
 
 
 def _used_materials(scene: Scene) -> tuple[str, ...]:

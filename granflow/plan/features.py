@@ -161,14 +161,14 @@ def _model_reason(scene: Scene, slot: str, on: bool) -> str:
 
 def _rate_reason(scene: Scene, features: Features) -> str:
     """The damping ratio, or the property of the contact model, that makes forces depend on velocities."""
-    normal = scene.contact.normal
-    if not features.rate_dependent:
-        if scene.contact.options("normal").get("rest_damping"):
-            return "contact.normal.damping_ratio is 0; rest_damping acts only on contacts that reload"
-        return f"the {normal.law} contact model with these settings has no viscous force"
-    damping_ratio = scene.contact.options("normal").get("damping_ratio")
+    normal, options = scene.contact.normal, scene.contact.options("normal")
+    damping_ratio = options.get("damping_ratio")
     if damping_ratio is not None:
-        return f"contact.normal.damping_ratio is {damping_ratio:g} ({scene.where('contact', 'normal')})"
+        rests = not features.rate_dependent and options.get("rest_damping")
+        addition = ", and rest_damping acts only on contacts that reload" if rests else ""
+        return f"contact.normal.damping_ratio is {damping_ratio:g}{addition} ({scene.where('contact', 'normal')})"
+    if not features.rate_dependent:
+        return f"the {normal.law} contact model with these settings has no viscous force"
     return (
         f"the {normal.law} contact model obtains a restitution below 1 by damping ({scene.where('contact', 'normal')})"
     )

@@ -72,7 +72,7 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
 
 
 def _refuse_dashpot(scene: Scene, slot: str) -> None:
-    """Raise SceneError for the dashpot of a slot if the normal model has none, of which it is a multiple."""
+    """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a multiple."""
     damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
     damping = scene.contact.options(slot)["damping"]
     raise SceneError(

@@ -34,7 +34,7 @@ def refuse_fast_start(scene: Scene, speeds: Mapping[str, float], step: float, ra
             given = scene.is_given("particles", name, "velocity")
             place = scene.locate("particles", name, *(["velocity"] if given else []))
             statement = f"{place}: particles.{name} starts with {speed:.3g} m/s"
-            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
+            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share_of(limit, radius_min))}")
 
 
 def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) -> None:
@@ -53,26 +53,32 @@ def refuse_fast_rotation(scene: Scene, rates: Mapping[str, float], step: float) 
             )
 
 
-def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float) -> None:
-    """Raise SceneError if a prescribed motion moves a wall by more than `limit` [m] in a step [s]."""
+def refuse_fast_walls(scene: Scene, speeds: Mapping[str, float], step: float, limit: float, share: str) -> None:
+    """Raise SceneError if a prescribed motion moves a wall by more than `limit` [m] in a step [s].
+
+    `share`: the limit relative to the length from which it follows.
+    """
     for name, speed in speeds.items():
         if speed * step > limit:
             statement = f"{scene.locate('walls', name, 'motion')}: walls.{name} moves at up to {speed:.3g} m/s"
-            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
+            raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
 
 
-def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float) -> None:
-    """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s]."""
+def refuse_fast_images(scene: Scene, speed: float, step: float, limit: float, share: str) -> None:
+    """Raise SceneError if the images of a sheared box move by more than `limit` [m] in a step [s].
+
+    `share`: the limit relative to the length from which it follows.
+    """
     if speed * step > limit:
         statement = f"{scene.locate('domain', 'lees_edwards')}: domain.lees_edwards moves the images at {speed:.3g} m/s"
-        raise SceneError(f"{statement}{_per_step(scene, speed, step, limit)}")
+        raise SceneError(f"{statement}{_per_step(scene, speed, step, limit, share)}")
 
 
-def _per_step(scene: Scene, speed: float, step: float, limit: float) -> str:
+def _per_step(scene: Scene, speed: float, step: float, limit: float, share: str) -> str:
     """End of a sentence on a speed [m/s] too high for a step [s], with the remedy."""
     return (
-        f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m: beyond it "
-        f"contacts can be missed. {remedy(not isinstance(scene.run.time_step, str), speed, speed, limit)}"
+        f", which is {speed * step:.3g} m per step of {step:.3g} s, above the limit of {limit:.3g} m ({share}): beyond "
+        f"it contacts can be missed. {remedy(not isinstance(scene.run.time_step, str), speed, speed, limit)}"
     )
 
 

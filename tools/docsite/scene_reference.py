@@ -14,8 +14,8 @@ INTRODUCTION = """\
 This page is generated from the schema that reads scenes; `granflow schema` prints the same schema for editors. A
 number without a unit is in the SI unit in brackets; text with a unit is accepted as well, such as `4 mm`, `1 GPa`,
 `30 deg` ([units](units.md)). In a path, `NAME` is a name of your choice (lowercase letters, digits and `_`), and `[]`
-is an item of a list. Physical parameters have no defaults. `granflow check SCENE` reports all errors of a scene at
-once.
+is an item of a list. Material and contact properties have no defaults. `granflow check SCENE` reports all errors of a
+scene at once.
 """
 
 FIRST_LEVEL = "The blocks of a scene file. A scene with only the required blocks is complete."
