@@ -4,7 +4,7 @@ A law is an immutable object with the options of one scene. Its device functions
 only; `constants`, `contact` and `history` are structs:
 
     constants  `constant_names` of the law, for the pair of materials, and `parameters` of the law
-    history    `history` of the law: numbers, or 3-vectors, kept from first touch to separation
+    history    `history` of the law: numbers, or 3-vectors, kept from first contact to separation
     contact    radius_eff [m], mass_eff [kg], time_step [s], overlap [m], overlap_rate [m/s], positive during approach
 
 Tangential and rolling laws read more, see `surface_law`.
@@ -44,7 +44,7 @@ class ModelRequest:
 
 @dataclass(frozen=True)
 class HistoryField:
-    """A quantity of a contact, kept from first touch to separation, 0 at first touch.
+    """A quantity of a contact, kept from first contact to separation, 0 at first contact.
 
     name:         name in the history struct, and of the array of contact files
     description:  for `granflow explain` and the documentation

@@ -43,7 +43,7 @@ def equivalent_spring(constants, contact, velocity):
 
 @dataclass(frozen=True)
 class Spring(DeviceObject):
-    """Spring whose stiffness [N/m] is constant from first touch to separation.
+    """Spring whose stiffness [N/m] is constant from first contact to separation.
 
     value:               constant stiffness [N/m], or None
     reference_velocity:  velocity [m/s] in Eq. 19; None: the impact velocity of each contact
@@ -98,12 +98,12 @@ class SpringLaw(NormalLaw):
 
     @property
     def prepares(self) -> bool:
-        """Whether the stiffness is set at first touch."""
+        """Whether the stiffness is set at first contact."""
         return self.spring.value is None
 
     @ti.func
     def prepare(self, constants, contact, history):
-        """Set the stiffness in the history at first touch."""
+        """Set the stiffness in the history at first contact."""
         history_new = history
         if ti.static(self.prepares):
             if history_new.spring_stiffness == 0.0:
@@ -150,5 +150,5 @@ class SpringLaw(NormalLaw):
 
 
 def quarter_period(stiffness: float, mass_eff: float) -> float:
-    """Time [s] from first touch to the maximum overlap of a linear spring, (pi/2) sqrt(M / K)."""
+    """Time [s] from first contact to the maximum overlap of a linear spring, (pi/2) sqrt(M / K)."""
     return 0.5 * np.pi * float(np.sqrt(mass_eff / stiffness))

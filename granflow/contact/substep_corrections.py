@@ -1,9 +1,10 @@
-"""Sub-step corrections for first touch, turning point and separation, which rarely coincide with a time level.
+"""Sub-step corrections for first contact, turning point and separation, which rarely coincide with a time level.
 
 The leapfrog scheme applies the force at one time level over the whole step around it, which is second order if the
-force is smooth. The force is not smooth at first touch (dashpot), at the maximum overlap where unloading starts, and at
-the overlap where it ends. Uncorrected, these points cost one order of convergence, or most of the accuracy of a small
-restitution. Each function here replaces the value at the time level by the mean over the step or by the exact extremum.
+force is smooth. The force is not smooth at first contact (dashpot), at the maximum overlap where unloading starts, and
+at the overlap where it ends. Uncorrected, these points cost one order of convergence, or most of the accuracy of a
+small restitution. Each function here replaces the value at the time level by the mean over the step or by the exact
+extremum.
 """
 
 from typing import Any
@@ -48,7 +49,7 @@ def mean_above(above, rate, time_step):
 def build_step_mean(power: float) -> Any:
     """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0 for d < 0.
 
-    The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since first touch,
+    The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since first contact,
     it is the integral over [0, d + h/2]; later the mean over [d - h/2, d + h/2] to second order (h = |d'| dt):
 
         (d + h/2)^(p + 1) / ((p + 1) h)            d^p (1 + p (p - 1) / 24 (h/d)^2)

@@ -51,7 +51,7 @@ class Collision:
     velocity:        approach velocity; `share` of it is that of the first particle, 1 toward a wall
     along, spin:     velocity of the first particle along y, and angular velocity about -z; the surface of the particle
                      slides at the velocity along - radius * spin
-    first_contact:   time of first touch
+    first_contact:   time of first contact
     """
 
     first: str

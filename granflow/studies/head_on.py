@@ -42,7 +42,7 @@ class HeadOnCollision:
 class Outcomes:
     """Results of n collisions (n,), and their time series (steps, n), in the order of the collisions.
 
-    A collision begins at first touch and ends when the force vanishes; both times are interpolated within a step.
+    A collision begins at first contact and ends when the force vanishes; both times are interpolated within a step.
     Spheres that do not separate have restitution 0 and duration nan.
     """
 
@@ -64,8 +64,8 @@ def collide_all(
 ) -> Outcomes:
     """Simulate all collisions in one scene with the many-particle kernels.
 
-    `normal` is the entry `contact.normal` of the scene. First touches are evenly distributed over the phases of a step.
-    There is no friction.
+    `normal` is the entry `contact.normal` of the scene. First contacts are evenly distributed over the phases of a
+    step. There is no friction.
 
     Raises SceneError if the contact model or the time step [s] is not suitable, GranflowError if pairs never touch.
     """
@@ -94,7 +94,7 @@ def head_on_bench(
     velocity_max: float | None = None,
     numerics: Mapping[str, Any] | None = None,
 ) -> CollisionBench:
-    """Bench with all collisions; `first_contact` (n,): times of first touch [s].
+    """Bench with all collisions; `first_contact` (n,): times of first contact [s].
 
     `time_step` [s] or "auto". The plan assumes `velocity_max` [m/s], by default the largest velocity. Other arguments
     as for CollisionBench.

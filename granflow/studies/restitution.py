@@ -24,7 +24,7 @@ VELOCITIES_PER_DECADE = 4
 DECADES = 3
 """Decades of velocity below the largest expected one."""
 PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Phases of first touch within a time step."""
+"""Phases of first contact within a time step."""
 HEIGHT = 5.2
 """Height of the figure [inch]."""
 
@@ -33,7 +33,7 @@ TOLERANCE = 0.01
 QUICK_VELOCITIES = (1.0, 0.3, 0.1)
 """Velocities of the warning relative to the largest velocity, in the order of evaluation."""
 QUICK_PHASES = (0.25, 0.75)
-"""Phases of first touch within a time step for the warning."""
+"""Phases of first contact within a time step for the warning."""
 
 QUICK_STEPS = 8000
 """Maximum number of steps of the reference implementation for the warning."""
@@ -95,7 +95,7 @@ def measure(scene: Scene, arch: str = "cpu") -> tuple[list[RestitutionRow], floa
     """Simulate head-on collisions of all material pairs of a scene at velocities up to the largest expected one.
 
     All collisions are at the far side of the domain, where single precision is coarsest; each velocity is repeated for
-    several phases of first touch. The velocities span DECADES decades. Also returns the time step [s].
+    several phases of first contact. The velocities span DECADES decades. Also returns the time step [s].
 
     Raises SceneError if the scene has no valid plan.
     """
@@ -246,7 +246,7 @@ def _worst_restitution(plan: Plan, impact: _Impact, step: float) -> float:
 def _reference_restitution(plan: Plan, impact: _Impact, step: float, phase: float) -> float:
     """Restitution of one collision with the reference implementation, in the leapfrog scheme of the device.
 
-    `step` [s]; `phase`: time of first touch before the first force, over the step. 0 if the spheres stick.
+    `step` [s]; `phase`: time of first contact before the first force, over the step. 0 if the spheres stick.
     """
     law, mass = plan.law, impact.mass_eff
     constants, history = np.array(law.pair_constants(impact.material)), np.zeros(max(law.history_count, 1))

@@ -1,4 +1,4 @@
-"""Cohesive bonds that form at first touch and break at a rupture distance: base class of models such as JKR."""
+"""Cohesive bonds that form at first contact and break at a rupture distance: base class of models such as JKR."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ def at_overlap(contact, overlap):
 
 @dataclass(frozen=True)
 class BondLaw(CohesionLaw):
-    """A bond: no attraction before first touch, an attraction until the distance exceeds the rupture distance.
+    """A bond: no attraction before first contact, an attraction until the distance exceeds the rupture distance.
 
     bond_range:     largest rupture distance [m] of all pairs and sizes
     energy_budget:  whether the energy lost by formation and rupture of bonds is saved

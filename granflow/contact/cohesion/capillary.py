@@ -1,4 +1,4 @@
-"""Capillary bridges of constant liquid volume (Willett et al. 2000), from first touch to the rupture distance.
+"""Capillary bridges of constant liquid volume (Willett et al. 2000), from first contact to the rupture distance.
 
     F = 2 pi r g cos(t) / (1 + 1.05 u + 2.5 u^2),   u = s sqrt(r / V),   r = 2 R        (Willett et al. 2000, Eq. 12)
     s_c = (1 + t/2) V^(1/3)                                                             (Lian, Thornton & Adams 1993)
@@ -115,7 +115,7 @@ def _rupture_distance(pair: PairMaterial) -> float:
 
 MODEL = ContactModel(
     Capillary,
-    "liquid bridges of constant volume from first touch to rupture (Willett et al. 2000)",
+    "liquid bridges of constant volume from first contact to rupture (Willett et al. 2000)",
     pair_options=(
         PairOption(
             "surface_tension",

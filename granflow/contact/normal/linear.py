@@ -24,7 +24,7 @@ class Linear(SpringLaw):
     has_dashpot = True
     source = "Cundall & Strack 1979; spring: Zhou 2011, Eq. 19; damping: Schwager & Poeschel 2007"
     limits = (
-        "duration and restitution do not depend on velocity; with damping the force is discontinuous at first touch"
+        "duration and restitution do not depend on velocity; with damping the force is discontinuous at first contact"
     )
     constant_names = ("modulus_eff", "shear_modulus_eff", "damping_ratio")
 
@@ -59,9 +59,9 @@ class Linear(SpringLaw):
 
     @ti.func
     def force(self, constants, contact, history):
-        """F = max(K d + 2 zeta sqrt(K M) d', 0); K is constant from first touch on.
+        """F = max(K d + 2 zeta sqrt(K M) d', 0); K is constant from first contact on.
 
-        In the first step the dashpot acts for the time since first touch only.
+        In the first step the dashpot acts for the time since first contact only.
         """
         stiffness = self.stiffness_of(constants, contact, history)
         elastic = stiffness * contact.overlap

@@ -141,7 +141,7 @@ class Zhou(NormalLaw):
 
     @ti.func
     def prepare(self, constants, contact, history):
-        """Set the restitution at first touch; set maximum overlap, restitution and recovery when unloading begins."""
+        """Set the restitution at first contact; set maximum overlap, restitution and recovery when unloading begins."""
         history_new = history
         if ti.static(self.restitution_at != "max_overlap"):
             if history_new.overlap_max == 0.0:
@@ -276,7 +276,7 @@ MODEL = ContactModel(
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
     options={
         "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, "
+            "velocity at which e is evaluated: impact (at first contact), max_overlap (from the maximum overlap, "
             "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the restitution of "
             "every pair is a number)",
             words=("impact", "max_overlap", "constant"),

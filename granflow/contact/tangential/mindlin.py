@@ -116,8 +116,8 @@ class Mindlin(TangentialLaw):
 
         F = -k s - eta_t v_t;   if |F| > mu F_n:   F <- mu F_n F / |F|,   s <- -(F + eta_t v_t) / k
 
-        The dashpot acts from the second step on: in the first one the normal force is a mean since first touch, and the
-        spring would keep the difference between the dashpot and a limit that depends on the time of first touch.
+        The dashpot acts from the second step on: in the first one the normal force is a mean since first contact, and
+        the spring would keep the difference between the dashpot and a limit that depends on the time of first contact.
         """
         history_new, stiffness, ratio = history, self.stiffness(constants, contact), self.stiffness_ratio(contact)
         rotated = rotated_displacement(history.displacement, contact.normal, contact.normal_half)

@@ -1,1 +1,1 @@
-"""Sweeps: runs of one scene at many points of its parameters, restartable, on this machine or on a cluster."""
+"""Sweeps: runs of one scene for many parameter values, restartable, on this machine or on a cluster."""

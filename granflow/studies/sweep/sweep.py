@@ -18,7 +18,7 @@ def sweep(
     scheduler: str | None = None,
     arch: str = "cpu",
 ) -> Any:
-    """Run a scene at many points of its parameters and return the table as a pandas DataFrame, one row per point.
+    """Run a scene for many parameter values and return the table as a pandas DataFrame, one row per point.
 
         table = granflow.sweep("sweep.yaml", jobs=2)
 
