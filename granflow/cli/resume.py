@@ -115,7 +115,7 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
     if path.exists():
         return load(path, [*options.overrides, *precision])
     if checkpoint is None:
-        raise GranflowError(f"{options.directory} holds no run: neither a usable checkpoint nor {SCENE}.")
+        raise GranflowError(f"{options.directory} contains no run: neither a usable checkpoint nor {SCENE}.")
     return scene_of(checkpoint.scene, str(checkpoint.path), [*options.overrides, *precision])
 
 

@@ -1,4 +1,4 @@
-"""`granflow sweep`: runs a scene at many points of its parameters."""
+"""`granflow sweep`: runs a scene for many parameter values."""
 
 import argparse
 from pathlib import Path
@@ -58,9 +58,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
 
 def add_sweep(verbs: Any) -> None:
     """Add `granflow sweep` and its arguments."""
-    parser = add_verb(
-        verbs, sweep, "run a scene at many points of its parameters; the same command continues the sweep"
-    )
+    parser = add_verb(verbs, sweep, "run a scene for many parameter values; the same command continues the sweep")
     parser.add_argument("file", metavar="SWEEP.yaml", type=Path, help="sweep file")
     add_out(parser, "out/SWEEP")
     add = parser.add_argument

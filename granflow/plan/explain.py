@@ -162,7 +162,8 @@ def _forecast_rows(plan: Plan) -> Iterator[ExplainRow]:
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     """Rows of the memory estimate by part, and the total."""
     list_entries, particles = plan.capacities.list_entries, plan.particle_capacity
-    each = f"{size(memory.per_particle)} per particle: state, force and sorting arrays"
+    capacity = f"capacity for {count(plan.capacities.particles)} particles"
+    each = f"{capacity}, {size(memory.per_particle)} per particle: state, force and sorting arrays"
     yield ExplainRow("particles", size(memory.particles), each)
     list_text = (
         f"{size(memory.neighbor_lists / particles)} per particle: capacity for "

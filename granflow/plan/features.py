@@ -182,8 +182,8 @@ def _walls_reason(scene: Scene) -> str:
 def _moving_reason(scene: Scene, features: Features) -> str:
     if not features.moving_walls:
         return "no wall has a motion"
-    name = next(name for name, wall in scene.walls.items() if wall.motion)
-    return f"walls.{name} moves ({scene.where('walls', name, 'motion')})"
+    names = [name for name, wall in scene.walls.items() if wall.motion]
+    return f"motion of {', '.join(names)} ({scene.where('walls', names[0], 'motion')})"
 
 
 def _force_controlled_reason(scene: Scene, features: Features) -> str:
@@ -227,8 +227,8 @@ def _lees_edwards_reason(scene: Scene) -> str:
     lees_edwards = scene.domain.lees_edwards
     if lees_edwards is None:
         return "the domain is not sheared"
-    description = f"{lees_edwards.flow} changes with {lees_edwards.gradient} by {lees_edwards.rate:g} 1/s"
-    return f"velocity along {description} ({scene.where('domain', 'lees_edwards')})"
+    description = f"{lees_edwards.rate:g} 1/s, flow {lees_edwards.flow}, gradient {lees_edwards.gradient}"
+    return f"shear rate {description} ({scene.where('domain', 'lees_edwards')})"
 
 
 def _sizes_reason(scene: Scene) -> str:

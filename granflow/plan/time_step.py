@@ -101,7 +101,7 @@ def choose_time_step(
         limited_by = "given in the scene"
     if value > stable:
         raise ValueError(
-            f"is {value:.3g} s, above the stable {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
+            f"is {value:.3g} s, above the stable limit of {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
             f"Lower it to {chosen:.2g} s or remove it."
         )
     least, warnings = _restitution_reached(value, pair_cases, law, velocity)

@@ -96,13 +96,13 @@ def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int,
 
     Raises _Refused for an unknown part.
     """
-    if model_at(SceneInput, tuple(keys[: depth + 1])) is None or (
-        depth and model_at(SceneInput, tuple(keys[:depth])) is None
-    ):
-        known = list(entries) if depth else list(SceneInput.model_fields)
-        parent = dotted(keys[:depth]) or "the scene"
-        remedy = suggestion_or_list(keys[depth], known, f"keys in {parent}")
-        raise _Refused(f"{dotted(keys[: depth + 1])} is not in the scene. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
+    model = model_at(SceneInput, tuple(keys[:depth]))
+    if model is None or model_at(SceneInput, tuple(keys[: depth + 1])) is None:
+        known = list(entries) if model is None else [field.alias or key for key, field in model.model_fields.items()]
+        kind = f"keys in {dotted(keys[:depth])}" if model is None else "known keys"
+        remedy = suggestion_or_list(keys[depth], known, kind)
+        missing = "is not in the scene" if model is None else "is not a known key"
+        raise _Refused(f"{dotted(keys[: depth + 1])} {missing}. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
     return Node(position, entries={})
 
 

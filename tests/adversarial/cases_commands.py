@@ -82,7 +82,7 @@ INVALID = [
     line(
         "resume_no_run",
         "resume out",
-        "holds no run",
+        "contains no run",
         prepare=directory_without_run,
         verify=other_files_unchanged,
         verified="the directory is unchanged",

@@ -174,7 +174,7 @@ def test_unstable_time_step_is_rejected(home, verb):
     rejected = granflow(home, verb, "beads.yaml", "--set", "run.time_step=1 ms", *["--out", "no"] * (verb == "run"))
     assert rejected.returncode == 2
     problem, count = rejected.stderr.splitlines()
-    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stable 5e-05 s (")
+    assert problem.startswith("--set run.time_step=1 ms: run.time_step is 0.001 s, above the stable limit of 5e-05 s (")
     assert problem.endswith(" s or remove it.") and count == "1 problem found."
     assert not (home / "no").exists()
 

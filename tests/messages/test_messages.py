@@ -116,7 +116,7 @@ OVERRIDES = [
     ("run..duration=3", "an override has the form key.path=value, such as run.duration=2."),
     ("seed=", "seed has no value; write it after the equals sign."),
     ("sead=3", "sead is not a known key. Did you mean seed?"),
-    ("runn.precision=f32", "runn is not in the scene. Did you mean run?"),
+    ("runn.precision=f32", "runn is not a known key. Did you mean run?"),
     ("walls.tube.radus=3 cm", "walls.tube.radus is not a known key. Did you mean radius?"),
     ("walls.tub.radius=3 cm", "walls.tub is not in the scene. Did you mean tube?"),
     (

@@ -64,7 +64,7 @@ def test_each_feature_has_a_reason(tmp_path):
             "output.wall_forces selects floor",
             "wall_forces",
         ),
-        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "walls.floor moves", "floor"),
+        ((FLOOR, MOVING_FLOOR), "moving_walls", "on", "motion of floor", "floor"),
         (("normal: zhou", "normal: hertz"), "rate_dependent", "on", "the hertz contact model obtains", "normal"),
         (
             ("normal: zhou", "normal: {law: zhou, damping_ratio: 0.1}"),

@@ -154,8 +154,8 @@ def test_given_step_above_the_stable_step_is_rejected_with_its_line_and_a_valid_
     location, message = problem.split(": ", 1)
     assert location.endswith(f"beads.yaml:{line_of('duration') + 1}:14")
     assert message == (
-        f"run.time_step is 0.001 s, above the stable {allowed_step.stable_below:.3g} s (beads-beads at 1 m/s). "
-        f"Lower it to {allowed_step.value:.2g} s or remove it."
+        f"run.time_step is 0.001 s, above the stable limit of {allowed_step.stable_below:.3g} s "
+        f"(beads-beads at 1 m/s). Lower it to {allowed_step.value:.2g} s or remove it."
     )
 
 

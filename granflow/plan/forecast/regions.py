@@ -36,9 +36,9 @@ def region_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]
             share = float(np.mean(overlap > scene.numerics.max_overlap))
             if share > 0.0:
                 yield (
-                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): walls.{wall.name} cuts the "
-                    f"region: {share:.2g} of all positions are inside the wall or behind it, and particles there stop "
-                    "the run. Keep the region clear of the wall."
+                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100.0 * share:.2g} % of "
+                    f"the insertion positions are inside or behind walls.{wall.name}; particles inserted there abort "
+                    "the run. Change the region so that it does not intersect the wall."
                 )
 
 

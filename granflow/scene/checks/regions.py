@@ -46,8 +46,8 @@ def inside_domain(parts: PartialScene) -> Iterator[Fault]:
         key = "face" if isinstance(group.insert, InletInsertion) else "region"
         for axis, (a, b) in enumerate(_extent(getattr(group.insert, key))):
             if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
-                reach = f"reaches from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
-                yield whole((*path, key), f"{reach}, outside the domain, {low[axis]:g} to {high[axis]:g} m")
+                extent = f"extends from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
+                yield whole((*path, key), f"{extent} and exceeds the domain ({low[axis]:g} to {high[axis]:g} m)")
 
 
 def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> Iterator[tuple[float, float]]:
@@ -91,10 +91,11 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
         "particles inserted during the run": inserted,
         "flow meters": list(scene.output.flow_meters),
     }
-    found = " and ".join(f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names)
+    found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
     if scene.damping is not None:
         yield Fault(
             ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
         )
     if found:
-        yield whole(("domain", "lees_edwards"), f"cannot be combined with {found}: the periodic images move")
+        listed = " or ".join([", ".join(found[:-1]), found[-1]] if len(found) > 1 else found)
+        yield whole(("domain", "lees_edwards"), f"cannot be combined with {listed}: the periodic images move")
