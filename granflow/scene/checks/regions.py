@@ -91,10 +91,11 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
         "particles inserted during the run": inserted,
         "flow meters": list(scene.output.flow_meters),
     }
-    found = " or ".join(f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names)
+    found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
     if scene.damping is not None:
         yield Fault(
             ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
         )
     if found:
-        yield whole(("domain", "lees_edwards"), f"cannot be combined with {found}: the periodic images move")
+        listed = " or ".join([", ".join(found[:-1]), found[-1]] if len(found) > 1 else found)
+        yield whole(("domain", "lees_edwards"), f"cannot be combined with {listed}: the periodic images move")
