@@ -20,11 +20,11 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
-from granflow.engine.kept_states import return_state, take_state
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import FreedState, State
+from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.stepper import Stepper
 from granflow.engine.totals import ended_contacts_dissipation, totals_of
 from granflow.fields import PARTICLE_QUANTITIES

@@ -78,7 +78,7 @@ class NeighborList(Fields):
     list_walls_end:        end of its wall entries, which are first
     partner:               index of a particle, -1 - wall, or -1 - wall count - triangle
     history:               history of each entry by slot of the contact models
-    in_contact:            state of each entry, see `contact_history`; only with a history
+    in_contact:            state of each entry, see `contact_history_entry`; only with a history
     saved:                 copy of the entries with a history while the particles are sorted
 
     A pair within a chunk is in one list, a pair across two chunks in both.

@@ -17,7 +17,7 @@ from granflow.io.lock import locked
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene
 from granflow.observers.base import Checkpointable
-from granflow.runs.checkpoint_writer import CheckpointWriter
+from granflow.runs.checkpoint_schedule import CheckpointWriter
 from granflow.runs.input_copies import copy_inputs
 from granflow.runs.previous import refuse_inputs_inside, replaced_run
 from granflow.runs.result import Result, write_result

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
-from granflow.engine import kept_states
+from granflow.engine import state_cache
 from granflow.engine.neighbor.cell_grid import build_grid_over
 from granflow.engine.neighbor.cells import BLOCK_SIDE
 from granflow.kernel_language import ti
@@ -49,7 +49,7 @@ def run_and_sample(scene):
 @pytest.fixture
 def separate_states(monkeypatch):
     """No simulation takes arrays that an earlier one has left."""
-    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(state_cache, "_kept", [])
 
 
 @pytest.mark.parametrize("chunk_size", [1, pytest.param(16, marks=pytest.mark.slow)])
@@ -59,7 +59,7 @@ def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monke
     assert reference_run.engine.timing.growth_count == 0
     assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
 
-    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(state_cache, "_kept", [])
     monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 1))
     monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
     monkeypatch.setattr(capacities, "SPARE", 1)
@@ -87,7 +87,7 @@ def test_batch_grows_for_a_particle_with_many_neighbors(taichi_f64, monkeypatch,
     }
     scene = build_scene(groups, pair={"friction": 0.4}, numerics={"chunk_size": 16}, run={"duration": 1e-4})
     reference, _ = run_to_end(scene)
-    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(state_cache, "_kept", [])
     monkeypatch.setattr(plan_module, "MIN_BATCH", 1)
     grown, growing_run = run_to_end(scene)
     assert growing_run.engine.timing.growth_count == 1
@@ -101,7 +101,7 @@ def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkey
     """The list capacity suffices, but the history capacity holds one entry per chunk."""
     scene = compressed_bed(16)
     reference, reference_run = run_and_sample(scene)
-    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(state_cache, "_kept", [])
     entries = reference_run.plan.capacities.list_entries_per_chunk
     monkeypatch.setattr(capacities, "HISTORY_SHARE", 1.01 / entries)
     monkeypatch.setattr(capacities, "SPARE", 0)

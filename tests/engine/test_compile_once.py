@@ -9,7 +9,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine import kept_states
+from granflow.engine import state_cache
 from granflow.engine.kernel_cache import KERNELS
 from granflow.engine.state import FreedState
 from granflow.errors import GranflowError
@@ -63,7 +63,7 @@ def digest_of(case):
 def digests_with_cache(folder, cases):
     """Digests of cases that run one after the other in this process, and the number of states that remain."""
     os.environ["GRANFLOW_CACHE"] = folder
-    return [digest_of(case) for case in cases], len(kept_states._kept)
+    return [digest_of(case) for case in cases], len(state_cache._kept)
 
 
 @pytest.fixture(scope="module")

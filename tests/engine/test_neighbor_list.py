@@ -15,7 +15,7 @@ from scene_builders import (
 )
 from scipy.spatial import cKDTree
 
-from granflow.engine import kept_states
+from granflow.engine import state_cache
 from granflow.engine.host_copy import copy_to_host
 from granflow.errors import RunError
 from granflow.observers.interval import on_interval
@@ -74,7 +74,7 @@ def test_list_capacity_grows_without_changing_the_result(taichi_f64, monkeypatch
     reference, reference_run = run_to_end(falling_heap())
     monkeypatch.setattr(plan_module, "neighbors_per_particle", lambda count, skin: 0.0)
     monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 16)
-    monkeypatch.setattr(kept_states, "_kept", [])
+    monkeypatch.setattr(state_cache, "_kept", [])
     grown, growing_run = run_to_end(falling_heap())
     assert reference_run.engine.timing.growth_count == 0
     assert growing_run.engine.timing.growth_count > 0

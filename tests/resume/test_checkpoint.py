@@ -21,7 +21,7 @@ from granflow.io.checkpoint import (
     write_checkpoint,
 )
 from granflow.io.lock import locked
-from granflow.runs.checkpoint_writer import CheckpointWriter
+from granflow.runs.checkpoint_schedule import CheckpointWriter
 from granflow.scene.schema.output import Checkpoints
 
 STATE = {

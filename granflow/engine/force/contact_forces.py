@@ -25,7 +25,7 @@ from granflow.engine.force.set_forces import build_set_forces
 from granflow.engine.force.simd_pair_force import build_batched_forces
 from granflow.engine.force.wall_forces import build_add_impulse
 from granflow.engine.limits import ABORT_OVERLAP
-from granflow.engine.neighbor.contact_history import (
+from granflow.engine.neighbor.contact_history_entry import (
     build_add_plastic_loss,
     build_end_contact,
     build_read_history,

@@ -9,7 +9,7 @@ from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.host_copy import FieldTable
-from granflow.engine.neighbor.contact_history import build_read_history
+from granflow.engine.neighbor.contact_history_entry import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of

@@ -7,7 +7,7 @@ from granflow.engine.exact_sums import SHARES, build_list_shares, carried, energ
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
-from granflow.engine.neighbor.contact_history import build_read_history
+from granflow.engine.neighbor.contact_history_entry import build_read_history
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import ENERGY

@@ -8,7 +8,7 @@ from typing import Any
 
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
 from granflow.engine.force.structs import build_slot_vector
-from granflow.engine.neighbor.contact_history import (
+from granflow.engine.neighbor.contact_history_entry import (
     IN_CONTACT,
     build_add_plastic_loss,
     build_end_contact,

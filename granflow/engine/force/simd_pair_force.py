@@ -31,7 +31,7 @@ from granflow.engine.force.structs import (
 )
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.limits import ABORT_OVERLAP
-from granflow.engine.neighbor.contact_history import build_add_plastic_loss, build_end_contact
+from granflow.engine.neighbor.contact_history_entry import build_add_plastic_loss, build_end_contact
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import BATCH, LANES, State
 from granflow.kernel_language import ti

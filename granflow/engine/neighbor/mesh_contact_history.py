@@ -8,7 +8,7 @@ from typing import Any
 
 from granflow.engine.force.pair_kinematics import build_pair_constants
 from granflow.engine.mesh import from_nearest
-from granflow.engine.neighbor.contact_history import IN_CONTACT, NO_CONTACT, RELEASED
+from granflow.engine.neighbor.contact_history_entry import IN_CONTACT, NO_CONTACT, RELEASED
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
 from granflow.geometry.shape import FAR_AWAY

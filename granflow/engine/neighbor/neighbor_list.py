@@ -16,8 +16,8 @@ from granflow.engine.neighbor.cells import (
     cells_within,
     wrapped_cell,
 )
+from granflow.engine.neighbor.history_transfer import build_restore_history
 from granflow.engine.neighbor.phases import Phase
-from granflow.engine.neighbor.saved_history import build_restore_history
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cell_sort import bounds_phase, class_phases, sort_phases
 from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.history_transfer import build_save_history
 from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild
 from granflow.engine.neighbor.reorder import reorder_phases
-from granflow.engine.neighbor.saved_history import build_save_history
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
