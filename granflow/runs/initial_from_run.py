@@ -33,7 +33,7 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
     location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
     checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
     if checkpoint is None and not Path(scene.start_from).exists():
-        raise SceneError(f"{location} it does not exist; give the directory of a completed run.")
+        raise SceneError(f"{location} there is no such directory; give the directory of a completed run.")
     if checkpoint is None:
         reason = f": {skipped[0]}" if skipped else "; give the directory of a completed run."
         raise SceneError(f"{location} it contains no usable checkpoint{reason}")

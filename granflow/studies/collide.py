@@ -114,7 +114,8 @@ def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
         )
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"Unknown preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
+            remedy = _sentence(suggestion_or_list(name, PRESETS, "presets"))
+            raise GranflowError(f"material is {name}, but there is no such preset. {remedy}")
 
 
 def _sentence(remedy: str) -> str:

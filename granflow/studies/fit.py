@@ -236,7 +236,9 @@ def limit_from_materials(first: str, second: str | None = None) -> float:
     solids = []
     for name in (first, second or first):
         if name not in PRESETS:
-            raise GranflowError(f"Unknown preset {name}: {suggestion_or_list(name, PRESETS, 'presets')}")
+            remedy = suggestion_or_list(name, PRESETS, "presets")
+            remedy += "" if remedy.endswith("?") else "."
+            raise GranflowError(f"material is {name}, but there is no such preset. {remedy}")
         preset = PRESETS[name]
         solids.append(Solid(preset.young_modulus, preset.poisson_ratio, preset.density, preset.yield_strength))
     try:

@@ -164,7 +164,7 @@ def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored_pa
 def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
     with pytest.raises(SceneError, match="contains no usable checkpoint; give the directory"):
         Simulation(falling_particles(start_from=str(tmp_path)))
-    with pytest.raises(SceneError, match="does not exist; give the directory"):
+    with pytest.raises(SceneError, match="there is no such directory; give the directory"):
         Simulation(falling_particles(start_from=str(tmp_path / "none")))
     small = build_scene({"balls": particle_group([[0, 0, 0.1]], 0.008)}, start_from=str(checkpoint.path.parent))
     with pytest.raises(SceneError) as error:

@@ -48,7 +48,8 @@ def facts(name: str) -> str:
     if law.history:
         rows = [(code(each.name), each.unit, each.description) for each in law.history]
         lines.append(
-            f"**Contact history**, kept from first touch to separation:\n\n{table(('field', 'unit', 'meaning'), rows)}"
+            "**Contact history**, kept from first contact to separation:\n\n"
+            f"{table(('field', 'unit', 'meaning'), rows)}"
         )
     return "\n".join(lines)
 

@@ -115,7 +115,7 @@ def _rupture_distance(pair: PairMaterial) -> float:
 
 MODEL = ContactModel(
     Capillary,
-    "liquid bridges of constant volume from first touch to rupture (Willett et al. 2000)",
+    "liquid bridges of constant volume from first contact to rupture (Willett et al. 2000)",
     pair_options=(
         PairOption(
             "surface_tension",

@@ -18,8 +18,8 @@ class Dmt(CohesionLaw):
     name = "dmt"
     source = "Derjaguin, Muller & Toporov 1975, doi 10.1016/0021-9797(75)90018-1; Maugis 1992"
     limits = (
-        "for small, stiff particles (Tabor parameter below 0.1); no attraction before first touch or after separation, "
-        "so that adhesion dissipates no energy"
+        "for small, stiff particles (Tabor parameter below 0.1); no attraction before first contact or after "
+        "separation, so that adhesion dissipates no energy"
     )
     constant_names = ("work_of_adhesion",)
 
@@ -35,7 +35,7 @@ class Dmt(CohesionLaw):
 
     @ti.func
     def stored_energy(self, constants, contact, history):
-        """Minus the work of the attraction since first touch [J]."""
+        """Minus the work of the attraction since first contact [J]."""
         return -self.attraction(constants, contact) * contact.overlap
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:

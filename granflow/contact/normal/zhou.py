@@ -273,7 +273,7 @@ MODEL = ContactModel(
     "Hertz loading, nonlinear plastic unloading (Zhou 2011).",
     options={
         "restitution_at": Choice(
-            "velocity at which e is evaluated: impact (at first touch), max_overlap (from the maximum overlap, "
+            "velocity at which e is evaluated: impact (at first contact), max_overlap (from the maximum overlap, "
             "Zhou 2011, Eq. 5) or constant (e does not depend on velocity; always used if the restitution of "
             "every pair is a number)",
             words=("impact", "max_overlap", "constant"),

@@ -135,7 +135,7 @@ class Group(Model):
         insertion, count = self.insert, self.count_given
         rows = len(insertion.positions) if insertion.kind == "positions" else None
         if rows is not None and count != rows:
-            yield Fault(("count",), f"insert.positions has {rows} rows; leave the count out")
+            yield Fault(("count",), f"insert.positions has {rows} rows; remove count")
         if self.mass is not None and insertion.kind in ("positions", "file"):
             yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it")
         elif self.mass is not None and count is not None:

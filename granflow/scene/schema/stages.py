@@ -32,6 +32,6 @@ class Stage(Model):
         elif self.duration is not None and self.kinetic_energy_below is not None:
             yield redundant("duration", "kinetic_energy_below", keep="one, or replace duration by max_duration")
         elif self.kinetic_energy_below is not None and self.max_duration is None:
-            yield missing(("max_duration",), "the longest duration of a stage with kinetic_energy_below")
+            yield missing(("max_duration",), "give the maximum duration of a stage with kinetic_energy_below")
         elif self.duration is not None and self.max_duration is not None:
             yield Fault(("max_duration",), "it requires kinetic_energy_below; remove max_duration")

@@ -18,7 +18,7 @@ STEPS = np.array([50, 100, 200, 400])
 """Steps per collision."""
 
 PHASES = 8
-"""Number of phases of first touch within a step; the largest deviation is shown."""
+"""Number of phases of first contact within a step; the largest deviation is shown."""
 
 
 def accuracy_run() -> tuple[Outcomes, np.ndarray, np.ndarray]:
@@ -66,7 +66,7 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
     )
     caption = (
         "Largest deviation of (a) restitution and (b) duration of simulated collisions from the given values, over "
-        f"{PHASES} phases of first touch within a step, by the number of steps per collision. Dotted: target with "
+        f"{PHASES} phases of first contact within a step, by the number of steps per collision. Dotted: target with "
         f"{STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of the bound on the unloading "
         "tangent."
     )
