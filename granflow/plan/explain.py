@@ -96,7 +96,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         yield ExplainRow(
             "smallest restitution",
             f"{step.least_restitution:.3g}",
-            f"that this time step can reproduce at {impact_velocity.value:.3g} m/s",
+            f"smallest value that this time step can reproduce at {impact_velocity.value:.3g} m/s",
         )
     for sentence in step.warnings:
         yield ExplainRow("WARNING", "", sentence)
