@@ -56,7 +56,7 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
     if missing:
         paths = write_pictures(options.directory, frames, style)
         say(f"{len(paths)} images from {paths[0]} to {paths[-1]}")
-        return print_error(f"A film requires {missing}, which is not installed: pip install granflow[plot]")
+        return print_error(f"An animation requires {missing}, which is not installed: pip install granflow[plot]")
     path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_film(path, pictures(options.directory, frames, style), options.fps)
@@ -110,12 +110,12 @@ def add_render(verbs: Any) -> None:
 
     Lengths, times and ranges are in SI units or have a unit.
     """
-    parser = add_verb(verbs, render, "write images (PNG) of frames of a run, or a film of all frames")
+    parser = add_verb(verbs, render, "write images (PNG) of frames of a run, or an animation of all frames")
     add = parser.add_argument
     add("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
     add("--frame", default="last", metavar="F", help=FRAME)
-    add("--film", action="store_true", help="write an MP4 of all frames instead")
-    add("--fps", type=positive, default=25.0, metavar="N", help="frames per second of the film (default: 25)")
+    add("--film", action="store_true", help="write an animation (MP4) of all frames instead")
+    add("--fps", type=positive, default=25.0, metavar="N", help="frames per second of the animation (default: 25)")
     add("--color", default="velocity", metavar="NAME", help=COLOR)
     limits = "limits of the color scale in SI units (default: from the frames)"
     add("--range", type=number_pair, metavar="LOW,HIGH", dest="limits", help=limits)

@@ -49,7 +49,7 @@ def refuse_without_pair(plan: Plan, new: ParticleData, present: np.ndarray) -> N
             first, second = own.material, other.material
             if not (own.fixed and other.fixed) and (first, second) not in plan.pair_materials:
                 raise GranflowError(
-                    f"particles of {first} and {second} can touch each other now, but the scene has no pair "
+                    f"particles of {first} and {second} can be in contact now, but the scene has no pair "
                     f"{first}-{second}; add it to pairs."
                 )
 

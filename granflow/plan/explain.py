@@ -25,6 +25,10 @@ STEPS_PER_SECOND = 2e5
 """Maximum step rate, for small numbers of particles."""
 
 
+LABELS = {"one_material": "one particle material", "rate_dependent": "viscous normal force"}
+"""Labels of features whose names do not describe them; the others are their names."""
+
+
 class ExplainRow(NamedTuple):
     """One line: name, value, and origin of the value."""
 
@@ -62,7 +66,12 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
 
 
 def _feature_row(reason: Reason) -> ExplainRow:
-    return ExplainRow(reason.feature.replace("_", " "), reason.setting, reason.why)
+    return ExplainRow(feature_label(reason.feature), reason.setting, reason.why)
+
+
+def feature_label(name: str) -> str:
+    """Name of a feature in the text."""
+    return LABELS.get(name, name.replace("_", " "))
 
 
 def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
@@ -85,7 +94,7 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     yield from _bond_number_rows(plan)
     if plan.law.limits_restitution:
         yield ExplainRow(
-            "restitution",
+            "smallest restitution",
             f"{step.least_restitution:.3g}",
             f"smallest value that this time step can reproduce at {impact_velocity.value:.3g} m/s",
         )

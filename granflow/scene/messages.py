@@ -106,6 +106,8 @@ class _SchemaError:
         """The error with the path in the file; the kind of error determines the sentence."""
         if self.type == "missing":
             return missing(self.path, self._description())
+        if self.type == "extra_forbidden" and self.keys() == ["law"]:
+            return whole(self.path, "is not a known key: this contact model has no options")
         if self.type == "extra_forbidden":
             remedy = suggestion_or_list(str(self.path[-1]), self.keys(), "known keys")
             return whole(self.path, f"is not a known key. {remedy}")

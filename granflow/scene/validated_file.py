@@ -15,17 +15,23 @@ from granflow.scene.schema.fields import Model, faults_of
 
 M = TypeVar("M", bound=Model)
 
+SCENE_KEYS = {"materials", "particles"}
+"""Required keys of a scene that no other file has."""
+
 
 def validated_file(path: Path, schema: type[M], kind: str) -> tuple[M, Document]:
     """The content of a YAML file as `schema`, and its document, which has the position of each key.
 
     `kind`: what the file describes, for messages, such as "sweep". Raises FileError with all problems, each as
-    `file:line:column: sentence`.
+    `file:line:column: sentence`; for a scene, only that it is one.
     """
     try:
         document = document_in(path, kind)
     except SceneError as error:
         raise FileError(error.problems) from None
+    if SCENE_KEYS <= set(document.root.entries or ()):
+        keys = ", ".join(name for name, field in schema.model_fields.items() if field.is_required())
+        raise FileError([f"{path}: this is a scene, not a {kind} file; give a file with the keys {keys}."])
     return validated(document, schema), document
 
 

@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from granflow.errors import SceneError
+from granflow.errors import FileError, SceneError
 from granflow.load import load
+from granflow.studies.calibration.run import read_calibration
+from granflow.studies.sweep.run import read_sweep
 
 HERE = Path(__file__).parent
 GOOD = (HERE / "good.yaml").read_text(encoding="utf-8")
@@ -69,6 +71,16 @@ def test_missing_file_is_reported_with_a_similar_name(tmp_path):
     similar, different = tmp_path / "hoper.yaml", tmp_path / "x.yaml"
     assert sentences(similar) == [f"{similar}: there is no such file. Did you mean {tmp_path / 'hopper.yaml'}?"]
     assert sentences(different) == [f"{different}: there is no such file."]
+
+
+@pytest.mark.parametrize(("read", "kind"), [(read_sweep, "sweep"), (read_calibration, "calibration")])
+def test_scene_in_place_of_a_study_is_reported_in_one_sentence(read, kind, tmp_path):
+    path = tmp_path / "hopper.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    with pytest.raises(FileError) as caught:
+        read(path)
+    (sentence,) = caught.value.problems
+    assert sentence.startswith(f"{path}: this is a scene, not a {kind} file; give a file with the keys scene")
 
 
 def test_directory_is_rejected(tmp_path):

@@ -8,7 +8,7 @@ from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
 from granflow.plan.build import plan_for
-from granflow.plan.explain import WIDTH, duration, explain, size
+from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
 from granflow.plan.features import Features
 from granflow.plan.memory_estimate import estimate_memory
 
@@ -31,7 +31,7 @@ def test_lines_fit_a_terminal(tmp_path, monkeypatch):
     assert max(map(len, text.splitlines())) <= WIDTH
 
 
-@pytest.mark.parametrize("feature", [item.name.replace("_", " ") for item in fields(Features)])
+@pytest.mark.parametrize("feature", [feature_label(item.name) for item in fields(Features)])
 def test_each_feature_is_listed(rows, feature):
     assert rows[feature].split()[len(feature.split())] in ("on", "off")
 
@@ -42,7 +42,7 @@ def test_each_derived_number_is_listed(plan, rows):
     assert f"{step.stable_below:.4g} s" in rows["stability limit"] and "beads-beads" in rows["stability limit"]
     assert "0.0001705 s" in rows["Rayleigh time"]
     assert "1 m/s" in rows["impact velocity"] and "run.velocity_max" in rows["impact velocity"]
-    assert f"{step.least_restitution:.3g}" in rows["restitution"]
+    assert f"{step.least_restitution:.3g}" in rows["smallest restitution"]
     assert "0.0005 m" in rows["skin"]
     assert "0.002 m" in rows["radius"]
     assert "glass; not used: steel" in rows["materials"]
@@ -58,7 +58,7 @@ def test_each_derived_number_is_listed(plan, rows):
 
 
 def test_unreachable_restitution_causes_a_warning(plan, rows):
-    assert "glass-glass: the restitution at 1 m/s is 0.7, but a time step of" in rows["WARNING"]
+    assert "glass-glass: the restitution at 1 m/s is 0.7, but a time step" in rows["WARNING"]
 
 
 def test_settings_show_default_and_given_values_with_their_source(rows):

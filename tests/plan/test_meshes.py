@@ -87,7 +87,7 @@ def test_meshes_are_scaled_then_rotated_then_translated(tmp_path):
 def test_invalid_mesh_files_are_rejected(tmp_path):
     points, corners = cube()
     triangles = points[corners]
-    assert problem(tmp_path, "none.stl") == "does not exist."
+    assert problem(tmp_path, "none.stl") == "is missing: there is no such file."
     (tmp_path / "empty.stl").write_bytes(b"")
     assert problem(tmp_path, "empty.stl") == "is empty."
     binary_stl(tmp_path / "lies.stl", triangles, count=2**32 - 1)

@@ -66,7 +66,7 @@ def read_triangles(path: Path) -> RawTriangles:
     try:
         raw = read_regular(path, LARGEST_FILE)
     except FileNotFoundError:
-        raise FormatError("does not exist") from None
+        raise FormatError("is missing: there is no such file") from None
     except OSError as error:
         raise FormatError(f"cannot be read: {error.strerror or error}") from None
     kind = path.suffix.lower().lstrip(".")

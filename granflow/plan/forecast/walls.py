@@ -81,7 +81,7 @@ def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
     size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
     return (
         f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain of {size} "
-        "m: no particle can touch it. Check the units of its lengths, or enlarge the domain."
+        "m: no particle can be in contact with it. Check the units of its lengths, or enlarge the domain."
     )
 
 
@@ -98,6 +98,6 @@ def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray)
     left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
     return (
         f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after {left:.3g} s of "
-        f"{end:.3g} s no particle can touch it. If this is intended, give its motion an end or the "
+        f"{end:.3g} s no particle can be in contact with it. If this is intended, give its motion an end or the "
         "wall vanishes_at."
     )

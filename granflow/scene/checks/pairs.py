@@ -67,12 +67,12 @@ def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozense
     for a, b in combinations_with_replacement(mobile, 2):
         if a != b or mobile[a] > 1:
             other = f"particles of {b}" if a != b else "each other"
-            found[frozenset((a, b))] = f"particles of {a} can touch {other}"
+            found[frozenset((a, b))] = f"particles of {a} can be in contact with {other}"
     for a, b in product(mobile, fixed):
-        found.setdefault(frozenset((a, b)), f"particles of {a} can touch fixed ones of {b}")
+        found.setdefault(frozenset((a, b)), f"particles of {a} can be in contact with fixed ones of {b}")
     for (name, wall), a in product(scene.walls.items(), mobile):
         if wall.material in known:
-            reason = f"particles of {a} can touch the wall {name} of {wall.material}"
+            reason = f"particles of {a} can be in contact with the wall {name} of {wall.material}"
             found.setdefault(frozenset((a, wall.material)), reason)
     return found
 

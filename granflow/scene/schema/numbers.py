@@ -100,7 +100,7 @@ class Number:
     def _example(self) -> str:
         """An example value; for whole numbers not that of the dimension."""
         if self.whole:
-            return ", a whole number such as 8000"
+            return ", a whole number such as 10"
         return f", such as {dimension_of(self.dimension).example}"
 
     def _word_hint(self) -> str:

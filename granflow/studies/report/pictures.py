@@ -76,7 +76,7 @@ def pictures_for(directory: Path, scratch: Path) -> RunPictures:
     large = [f"pictures/{path.name}" for path in films if path not in small]
     shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     shown += [Picture(path, _caption(path, frames)) for path in small]
-    omitted_films = f" Films not embedded: {', '.join(large)}." if large else ""
+    omitted_films = f" Animations not embedded: {', '.join(large)}." if large else ""
     return RunPictures(shown, (problem or HOW_TO_ADD) + omitted_films)
 
 
