@@ -22,6 +22,7 @@ from ruamel.yaml import YAML
 
 from granflow import read_run
 from granflow.cli.examples import scene_paths
+from granflow.fields import unit_of
 from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,15 +62,15 @@ def expected(expectation: Any) -> str:
 def expectations() -> Iterator[str]:
     """One row for each expectation of a shipped scene, with the result of a run."""
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
-    yield row(("scene", "quantity [SI]", "expected", "run", "recorded"))
-    yield row(["---"] * 5)
+    yield row(("scene", "quantity", "unit", "expected", "run", "recorded"))
+    yield row(["---"] * 6)
     for name in names():
         run = stored.get(name, {})
         recorded = f"{run['date']}, {run['commit']}" if run else "not recorded"
         for each in load(SCENES / f"{name}.yaml").expect:
             number = run.get("numbers", {}).get(each.quantity)
             value = "" if number is None else f"{number:.5g}"
-            yield row((f"`{name}`", f"`{each.quantity}`", expected(each), value, recorded))
+            yield row((f"`{name}`", f"`{each.quantity}`", unit_of(each.quantity), expected(each), value, recorded))
 
 
 TABLES = {"comparisons": comparisons, "expectations": expectations}
