@@ -366,6 +366,7 @@ RUN_QUANTITIES = _by_name(
         Quantity("simulated_time", "t", "s", "simulated time at the end"),
         Quantity("step_count", "", "1", "number of completed steps"),
         Quantity("time_step", "dt", "s", "time step"),
+        Quantity("rebuild_count", "", "1", "rebuilds of the neighbor list"),
         Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
         Quantity("steps_per_second", "", "1/s", "steps per second of computing time: without compilation and output"),
         Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second of computing time"),

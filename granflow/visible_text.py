@@ -9,7 +9,7 @@ may contain one.
 import html
 import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 HIDDEN = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\xad\u061c\u070f\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff"
@@ -64,6 +64,11 @@ def readable(number: float) -> str:
 def numbered(count: int, noun: str) -> str:
     """Return a count with its noun: 1 wall, 2 walls, 12 000 particles."""
     return f"{readable(count)} {noun}{'s' * (count != 1)}"
+
+
+def alternatives(names: Sequence[str]) -> str:
+    """The names (one or more) as a list of alternatives: "a, b or c"."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def html_table(title: str, rows: Iterable[tuple[str, object]]) -> str:

@@ -25,6 +25,7 @@ from granflow.plan.size_classes import diameter_range
 from granflow.plan.time_step import PairCase
 from granflow.scene.schema.materials import MaterialPair, RestitutionFit
 from granflow.scene.schema.particles import Group
+from granflow.visible_text import alternatives
 
 
 def active_models(scene: Scene) -> dict[str, ContactModel]:
@@ -78,7 +79,7 @@ def _refuse_dashpot(scene: Scene, slot: str) -> None:
     raise SceneError(
         f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
         f"the dashpot from which the normal model obtains the restitution, but {scene.contact.name('normal')} has no "
-        f"such dashpot; write 0, or choose {', '.join(damped[:-1])} or {damped[-1]} as normal model."
+        f"such dashpot; write 0, or choose {alternatives(damped)} as normal model."
     )
 
 

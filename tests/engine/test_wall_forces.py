@@ -7,6 +7,7 @@ import pytest
 from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample
 
 from granflow.contact import theory
+from granflow.fields import RUN_QUANTITIES
 from granflow.simulation import Simulation
 
 MASS = 4.0 / 3.0 * np.pi * 0.005**3 * 2500.0
@@ -121,6 +122,7 @@ def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
     assert {float(row["wall_force_z.lid [N]"]) for row in rows} == {0.0}
     assert "wall_pressure.floor [Pa]" not in rows[0]
     assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
+    assert set(result.run) == set(RUN_QUANTITIES), "check accepts expectations of every number of a run"
 
 
 def test_wall_force_output_does_not_change_the_motion(taichi_f64):

@@ -100,10 +100,16 @@ def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fau
 
 def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
     """Key path, quantity and part of each expectation of a quantity with a part, such as mass_flow.outlet."""
+    for path, quantity, part in _all_expected(scene):
+        if part is not None:
+            yield path, quantity, part
+
+
+def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]]:
+    """Key path, quantity and part of each expectation; the part is None for a quantity of the whole run."""
     for index, expectation in enumerate(scene.expect):
         quantity, dot, part = expectation.quantity.partition(".")
-        if dot:
-            yield ("expect", index, "quantity"), quantity, part
+        yield ("expect", index, "quantity"), quantity, part if dot else None
 
 
 _WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
@@ -122,11 +128,10 @@ _PARTS = {
 
 def expected_names(parts: PartialScene) -> Iterator[Fault]:
     """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
-    for index, expectation in enumerate(parts.scene.expect):
-        path, (quantity, dot, _part) = ("expect", index, "quantity"), expectation.quantity.partition(".")
-        if dot and quantity not in _PARTS and quantity in _WHOLE:
+    for path, quantity, part in _all_expected(parts.scene):
+        if part is not None and quantity not in _PARTS and quantity in _WHOLE:
             yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
-        elif not dot and quantity not in _WHOLE and quantity in _PARTS:
+        elif part is None and quantity not in _WHOLE and quantity in _PARTS:
             yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
         elif quantity not in _WHOLE and quantity not in _PARTS:
             suggestion = nearest(quantity, [*_WHOLE, *_PARTS])

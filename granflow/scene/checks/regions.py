@@ -18,6 +18,7 @@ from granflow.scene.schema.insertion import (
     TimedInsertion,
 )
 from granflow.scene.schema.quantities import Vector3
+from granflow.visible_text import alternatives
 
 _AXES = "xyz"
 
@@ -97,5 +98,5 @@ def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
             ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
         )
     if found:
-        listed = " or ".join([", ".join(found[:-1]), found[-1]] if len(found) > 1 else found)
-        yield whole(("domain", "lees_edwards"), f"cannot be combined with {listed}: the periodic images move")
+        unsupported_text = alternatives(found)
+        yield whole(("domain", "lees_edwards"), f"cannot be combined with {unsupported_text}: the periodic images move")
