@@ -30,8 +30,8 @@ def insertion_warnings(scene: Scene) -> Iterator[str]:
             flow = "rate" if insertion.rate else "mass_flow"
             yield (
                 f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s from "
-                f"{insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about {inserted:.3g} of them. Raise "
-                f"{flow} or the duration."
+                f"{insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about {inserted:.3g} of them. "
+                f"Raise {flow} or the duration."
             )
 
 
