@@ -135,7 +135,7 @@ class LiveParticles:
         """
         engine = self._engine
         new = particle_data(self._state.plan, position, diameter, material, velocity, group, angular_velocity)
-        refuse_without_pair(self._state.plan, new, self._numbers("group"))
+        refuse_without_pair(self._state.plan, self._counts_with(new.group))
         engine.begin_change()
         needed = engine.state.count + len(new) + self._state.insertion.remaining
         if needed > self._state.plan.particle_capacity:
@@ -256,6 +256,13 @@ class LiveParticles:
     def _numbers(self, kind: str) -> np.ndarray:
         """Numbers (n,) of the groups or materials in the scene."""
         return self._engine.accounting.by_id(kind, self._field("id"))
+
+    def _counts_with(self, added: np.ndarray) -> np.ndarray:
+        """Number of particles of each group: present, to be inserted, and `added`, their group numbers."""
+        plan, pending = self._state.plan, self._state.insertion.results()
+        counts = np.bincount([*self._numbers("group"), *added], minlength=len(plan.groups))
+        waiting = [pending.get(group.name, {}).get("not_inserted_count", 0.0) for group in plan.groups]
+        return counts + np.array(waiting, dtype=np.int64)
 
     def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
         """Whether each group number (n,) is that of a fixed group."""
