@@ -54,7 +54,8 @@ def expected(expectation: Any) -> str:
     if expectation.between is not None:
         return "{:.6g} to {:.6g}".format(*expectation.between)
     if expectation.equals is not None:
-        return f"{expectation.equals:.6g} within {expectation.tolerance:.2g}"
+        within = f" within {100.0 * expectation.tolerance:.3g} %" if expectation.tolerance else ""
+        return f"{expectation.equals:.6g}{within}"
     bound = "below" if expectation.below is not None else "above"
     return f"{bound} {getattr(expectation, bound):.6g}"
 

@@ -25,7 +25,7 @@ def calibrate(options: argparse.Namespace) -> int:
     with deferred_to_event() as (stop, signals):
         result = run_calibration(study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True))
     if signals and isinstance(signals[0], KeyboardInterrupt):
-        return print_error("stopped; the same command continues the calibration.", exit_code_of(signals[0]))
+        return print_error("stopped; repeat the command to continue the calibration.", exit_code_of(signals[0]))
     if result is None:
         return print_error("no trial was completed, so there are no best values; see trials.csv.", 1)
     show_calibration(result)
@@ -49,7 +49,7 @@ def show_calibration(result: "CalibrationResult") -> None:
 
 def add_calibrate(verbs: Any) -> None:
     """Add `granflow calibrate` and its arguments."""
-    summary = "determine parameters of scenes from measured targets; the same command continues the calibration"
+    summary = "determine parameters of scenes from measured targets; repeat the command to continue"
     parser = add_verb(verbs, calibrate, summary)
     parser.add_argument("file", metavar="CALIBRATION.yaml", type=Path, help="calibration file")
     add_out(parser, "out/CALIBRATION")

@@ -29,7 +29,7 @@ def sweep(options: argparse.Namespace) -> int:
     with deferred_to_event() as (stop, signals):
         table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run)
     if signals and isinstance(signals[0], KeyboardInterrupt):
-        remedy = "the same command continues it"
+        remedy = "repeating the command continues it"
         return print_error(
             f"stopped; {out / 'sweep.csv'} has the completed runs, and {remedy}.", exit_code_of(signals[0])
         )
@@ -58,7 +58,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
 
 def add_sweep(verbs: Any) -> None:
     """Add `granflow sweep` and its arguments."""
-    parser = add_verb(verbs, sweep, "run a scene for many parameter values; the same command continues the sweep")
+    parser = add_verb(verbs, sweep, "run a scene for many parameter values; repeat the command to continue")
     parser.add_argument("file", metavar="SWEEP.yaml", type=Path, help="sweep file")
     add_out(parser, "out/SWEEP")
     add = parser.add_argument

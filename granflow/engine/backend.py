@@ -101,7 +101,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         default_fp=real,
         fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
-        log_level=ti.ERROR,
+        log_level=ti.CRITICAL,  # errors also raise exceptions
         offline_cache_file_path=str(folder),
     )
     _check_started(name)

@@ -63,8 +63,8 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         return f"{diagnosis.body} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
     limit = f"numerics.max_overlap {plan.max_overlap:g}"
     description = (
-        f"{pair.first} at {time:.6g} s overlaps by more than {limit} of the smaller radius: by {pair.overlap:.3g}, "
-        f"with {pair.second}."
+        f"{pair.first} at {time:.6g} s overlaps with {pair.second} by {pair.overlap:.3g} times the smaller "
+        f"radius, more than {limit}."
     )
     if not diagnosis.begun:
         return (
@@ -162,7 +162,7 @@ def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str
 
 def _overlap_before(pair: ContactPair) -> str:
     """Sentence on the overlap one step earlier."""
-    return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} of the smaller radius."
+    return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} times the smaller radius."
 
 
 def _relative_motion(pair: ContactPair) -> str:

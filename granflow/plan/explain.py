@@ -77,7 +77,7 @@ def feature_label(name: str) -> str:
 def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the time step and of the quantities that limit it: stability, Rayleigh time, maximum impact velocity."""
     step, impact_velocity = plan.step, plan.impact_velocity
-    slowest, name = min((rayleigh_time(each.solid, each.radius), each.name) for each in plan.pair_cases)
+    shortest, radius = min((rayleigh_time(each.solid, each.radius), each.radius) for each in plan.pair_cases)
     yield ExplainRow("time step", f"{step.value:.4g} s", step.limited_by)
     if plan.adaptive_time_step is not None:
         slow = (
@@ -88,7 +88,9 @@ def _time_step_rows(plan: Plan) -> Iterator[ExplainRow]:
         "stability limit", f"{step.stable_below:.4g} s", f"{step.stable_limit} at {impact_velocity.value:.3g} m/s"
     )
     yield ExplainRow(
-        "Rayleigh time", f"{slowest:.4g} s", f"shortest: {name}; the step is {step.value / slowest:.3g} of it"
+        "Rayleigh time",
+        f"{shortest:.4g} s",
+        f"shortest, of a particle with radius {radius:.3g} m; the step is {step.value / shortest:.3g} of it",
     )
     yield ExplainRow("impact velocity", f"at most {impact_velocity.value:.4g} m/s", impact_velocity.source)
     yield from _bond_number_rows(plan)
@@ -170,14 +172,13 @@ def _forecast_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     """Rows of the memory estimate by part, and the total."""
-    list_entries, particles = plan.capacities.list_entries, plan.particle_capacity
-    each = (
-        f"{size(memory.per_particle)} per particle, for {count(particles)} particles: state, force and sorting arrays"
-    )
+    list_entries, capacity = plan.capacities.list_entries, plan.capacities.particles
+    capacity_text = f"state, force and sorting arrays for up to {count(capacity)} particles"
+    each = f"{size(memory.per_particle)} per particle: {capacity_text}"
     yield ExplainRow("particles", size(memory.particles), each)
     list_text = (
-        f"{size(memory.neighbor_lists / particles)} per particle: capacity for "
-        f"{list_entries / particles:.3g} candidate pairs"
+        f"{size(memory.neighbor_lists / capacity)} per particle: capacity for "
+        f"{list_entries / capacity:.3g} candidate pairs"
     )
     yield ExplainRow("contacts", size(memory.neighbor_lists), f"{list_text}, increased if necessary")
     yield ExplainRow("one contact", size(memory.per_neighbor), f"stores {_history_text(plan)}")
@@ -211,7 +212,7 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     ends_at_rest = any(stage.kinetic_energy_below is not None for stage in plan.stages)
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
-    prefix = "at most " if ends_at_rest else ""
+    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_at_rest else ("", "")
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
@@ -219,8 +220,8 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
     frames = int(longest / plan.output.interval) + 1
     yield ExplainRow("frames", f"{prefix}{count(frames)}", f"every {plan.output.interval:g} s")
     seconds = max(steps * plan.particle_capacity / PARTICLE_STEPS_PER_SECOND, steps / STEPS_PER_SECOND)
-    assumed = f"{PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU"
-    yield ExplainRow("run time", f"{prefix or 'about '}{duration(seconds)}", f"an estimate that assumes {assumed}")
+    assumed = f"at {PARTICLE_STEPS_PER_SECOND / 1e6:g} million particle-steps per second on a CPU{stages_at_most}"
+    yield ExplainRow("run time", f"about {duration(seconds)}", assumed)
 
 
 def _end_text(stage: PlannedStage) -> str:

@@ -39,10 +39,11 @@ def refuse_run_time(plan: Plan, allow_long: bool = False) -> None:
         raise SceneError(f"{_steps_text(plan, steps)}, more than the {CLOCK_STEPS:.2g} that time in f64 resolves.")
     seconds = least_run_time(plan)
     if seconds > LONGEST and not allow_long:
+        count, steps = plan.particle_capacity, duration_of(plan) / plan.longest_time_step
         raise SceneError(
-            f"{_steps_text(plan, duration_of(plan) / plan.longest_time_step)} and {_writes(plan):.3g} frames, rows and "
-            f"checkpoints for {plan.particle_capacity} particles: {_in_years(seconds)} of wall-clock time at least. "
-            f"Check the units of durations, intervals, sizes, densities and moduli, or allow it with --allow-long."
+            f"{_steps_text(plan, steps)}. With a particle count of {count} and {_writes(plan):.3g} frames, rows and "
+            f"checkpoints, the run would take at least {_in_years(seconds)}. Check the units of durations, intervals, "
+            f"sizes, densities and moduli, or allow it with --allow-long."
         )
 
 
@@ -96,4 +97,5 @@ def _steps_text(plan: Plan, steps: float) -> str:
 
 
 def _in_years(seconds: float) -> str:
-    return f"{seconds / YEAR:.3g} years"
+    number = f"{seconds / YEAR:.3g}"
+    return f"{number} year" if number == "1" else f"{number} years"

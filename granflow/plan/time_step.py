@@ -147,9 +147,10 @@ def shortest_phase(pair_case: PairCase, law: NormalLaw, velocity: float) -> floa
 def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     """Time step [s] above which the energy of a particle in contact can grow, for its stiffest arrangement.
 
-    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the viscous force
-    lags by half a step. Masses M with z contacts of stiffness K and viscosity c, and tangential stiffness
-    Kt = 4 G/E K, or that of the tangential model, if there is friction, have at most
+    The leapfrog scheme is stable for a mode x'' = -w^2 x - 2 b x' up to w^2 dt^2 + 8 b dt = 4, since the velocity in
+    the viscous force is v(t - dt/2) + dt/2 x''(t - dt); at the limit v changes its sign in every step. Masses M with z
+    contacts of stiffness K and viscosity c, and tangential stiffness Kt = 4 G/E K with effective moduli, or that of the
+    tangential model, if there is friction, have at most
 
         w^2 = S (K + 2 Kt)/M,   2 b = S c/M,   S = min(z, 4)      if neighbors move in opposite directions
         w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts slip

@@ -60,33 +60,33 @@ def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> Exp
     if name not in numbers:
         return ExpectationResult(_unknown(name, numbers), False)
     number = numbers[name]
-    met, requirement = _compare(expectation, number)
     unit = f" {unit_of(name)}".rstrip()
+    met, requirement = _compare(expectation, number, unit)
     relation = "as expected" if met else "but should be"
-    return ExpectationResult(f"{name} is {number:.6g}{unit}, {relation} {requirement}{unit}.", met)
+    return ExpectationResult(f"{name} is {number:.6g}{unit}, {relation} {requirement}.", met)
 
 
-def _compare(expectation: Expectation, number: float) -> tuple[bool, str]:
+def _compare(expectation: Expectation, number: float, unit: str) -> tuple[bool, str]:
     """Return whether the number satisfies the bound of the expectation, and the text of the bound.
 
-    `between` includes both ends, `below` and `above` exclude the bound.
+    `unit`: empty, or a space and the unit. `between` includes both ends, `below` and `above` exclude the bound.
     """
     if expectation.between is not None:
         low, high = expectation.between
-        return low <= number <= high, f"between {low:g} and {high:g}"
+        return low <= number <= high, f"between {low:g} and {high:g}{unit}"
     if expectation.below is not None:
-        return number < expectation.below, f"below {expectation.below:g}"
+        return number < expectation.below, f"below {expectation.below:g}{unit}"
     if expectation.above is not None:
-        return number > expectation.above, f"above {expectation.above:g}"
+        return number > expectation.above, f"above {expectation.above:g}{unit}"
     if expectation.equals is None:
         raise ValueError(f"The expectation on {expectation.quantity} has no bound.")
-    return _compare_equal(number, expectation.equals, expectation.tolerance or 0.0)
+    return _compare_equal(number, expectation.equals, expectation.tolerance or 0.0, unit)
 
 
-def _compare_equal(number: float, target: float, tolerance: float) -> tuple[bool, str]:
+def _compare_equal(number: float, target: float, tolerance: float, unit: str) -> tuple[bool, str]:
     """Return whether |number - target| <= tolerance |target|, and the text of the requirement."""
-    within = f" within {tolerance:.3%}" if tolerance else ""
-    return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{within}"
+    within = f" within {100.0 * tolerance:g} %" if tolerance else ""
+    return abs(number - target) <= tolerance * abs(target), f"equal to {target:.10g}{unit}{within}"
 
 
 def _unknown(name: str, numbers: Mapping[str, float]) -> str:

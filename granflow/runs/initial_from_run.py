@@ -46,6 +46,11 @@ def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
             f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
         )
     found = {name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()}
+    if not any(len(particles) for particles in found.values()):
+        raise SceneError(
+            f"{location} at {checkpoint.time:.6g} s it has no particles of {', '.join(shared)}; give a run that ends "
+            "before they are deleted (granflow run --until TIME)."
+        )
     problems = [problem for name, group in shared.items() for problem in _inconsistencies(group, found[name])]
     if problems:
         raise SceneError(problems)

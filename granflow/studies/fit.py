@@ -85,7 +85,7 @@ def _check_determined(data: Measurements, limit: float | None) -> None:
     fitted = "sigma and psi" if limit else "sigma, psi and the limit velocity"
     count = 2 if limit else 3
     if len(data) <= count:
-        raise GranflowError(f"{len(data)} rows are too few for {fitted} and their errors; give at least {count + 1}.")
+        raise GranflowError(f"Fitting {fitted} with errors needs at least {count + 1} rows, but there are {len(data)}.")
     if limit and np.any((data.velocity >= limit) & (data.restitution > 0.0)):
         fastest = data.velocity[data.restitution > 0.0].max()
         raise GranflowError(

@@ -278,7 +278,7 @@ def physics() -> list[Case]:
             "narrow_box",
             "a periodic box 2.5 diameters wide",
             lambda: narrow(0.025),
-            "no pair overlaps by more than a tenth",
+            "no pair overlaps by more than a tenth of the radius",
             check_narrow,
             code=0,
         ),

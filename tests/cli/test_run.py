@@ -150,7 +150,7 @@ def test_aborted_run_writes_its_last_state(home):
     message = aborted.stderr.splitlines()[-1]
     assert (
         message.startswith("granflow: Stopped: particle ")
-        and "overlaps by more than numerics.max_overlap 0.0001" in message
+        and "times the smaller radius, more than numerics.max_overlap 0.0001" in message
     )
     assert "Traceback" not in aborted.stderr
     out = home / "aborted"

@@ -32,7 +32,12 @@ def expected(quantity, **bound):
         (expected("particle_count", equals=8001), "particle_count is 8000, but should be equal to 8001.", False),
         (
             expected("particle_count", equals=8001, tolerance=0.001),
-            "particle_count is 8000, as expected equal to 8001 within 0.100%.",
+            "particle_count is 8000, as expected equal to 8001 within 0.1 %.",
+            True,
+        ),
+        (
+            expected("kinetic_energy", equals=1.001e-9, tolerance=0.01),
+            "kinetic_energy is 1e-09 J, as expected equal to 1.001e-09 J within 1 %.",
             True,
         ),
         (expected("energy_error", below=1.0), "energy_error is nan, but should be below 1.", False),

@@ -64,7 +64,8 @@ def test_run_of_more_than_a_year_is_rejected_without_allow_long(count, rate):
     output = {"interval": 1e29}
     assert not rejection(scene(count, run={"duration": 0.999 * seconds}, output=output))
     message = rejection(scene(count, run={"duration": 1.001 * seconds}, output=output))
-    assert f"for {count} particles: 1 years of wall-clock time at least" in message and "--allow-long" in message
+    assert f"With a particle count of {count} and" in message and "--allow-long" in message
+    assert "the run would take at least 1 year. " in message
     assert not rejection(scene(count, run={"duration": 1.001 * seconds}, output=output), allow_long=True)
 
 

@@ -172,3 +172,12 @@ def test_mismatch_with_start_from_is_reported(checkpoint, tmp_path):
     count, size = error.value.problems
     assert count.endswith("particles.balls.count is 1, but start_from has 4 particles.")
     assert size.endswith("diameter lies in [0.008, 0.008] m, but start_from has diameters in [0.01, 0.01] m.")
+
+
+def test_start_from_a_run_whose_particles_are_deleted_is_rejected(tmp_path):
+    """One particle leaves a domain of 20 mm at 1 m/s in the run of 40 ms."""
+    domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "delete"}
+    group = {"ball": particle_group([0.0, 0.0, 0.0], 0.002, velocity=[1.0, 0.0, 0.0])}
+    Simulation(build_scene(group, domain=domain, run={"duration": 0.04}), out=tmp_path / "empty").run()
+    with pytest.raises(SceneError, match=r"at 0.0400\d+ s it has no particles of ball; give a run that ends before"):
+        Simulation(build_scene(group, start_from=str(tmp_path / "empty")))

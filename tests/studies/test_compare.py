@@ -104,7 +104,7 @@ def test_an_aborted_run_is_a_result(found, table):
         < stopped["linear_reference"].time
         < first_contact + 0.5 * np.pi * np.sqrt(MASS_EFF / spring(REFERENCE))
     )
-    assert "overlaps by more than" in stopped["linear_reference"].stopped
+    assert "more than numerics.max_overlap" in stopped["linear_reference"].stopped
     assert np.isnan(table["end of stage", "linear_reference"][0])
     assert "linear of 0.1 m/s was aborted at" in (out / "compare.html").read_text(encoding="utf-8")
 
@@ -113,7 +113,7 @@ def test_the_springs_are_assessed_in_the_scene(found):
     """One spring fails if its run aborts; two particles form no bed for the assessment of the other."""
     one_spring, spring_per_contact = found[0].assessments[-2:]
     assert one_spring.holds and re.match(
-        r"The run was aborted at 0.0\d+ s: particle \d .* overlaps by more than", one_spring.why
+        r"The run was aborted at 0.0\d+ s: particle \d .* overlaps with", one_spring.why
     )
     assert spring_per_contact.holds is None and "too few contacts" in spring_per_contact.why
 

@@ -102,7 +102,7 @@ def test_limit_velocity_from_materials_is_equation_11():
 @pytest.mark.parametrize(
     ("make_data", "limit", "expected"),
     [
-        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "2 rows are too few"),
+        (lambda: synthetic_measurements(SOFT, 8.0, count=2), 12.0, "needs at least 3 rows, but there are 2"),
         (lambda: synthetic_measurements(SOFT, 8.0), 5.0, "The limit velocity is 5 m/s, but the restitution"),
         (lambda: Measurements(np.full(5, 2.0), np.full(5, 0.5), np.ones(5), False), 12.0, "at 1 different velocities"),
         (lambda: synthetic_measurements(STEEL, 0.5, noise=0.01, seed=1), None, "do not determine the limit velocity"),

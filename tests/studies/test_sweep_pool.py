@@ -166,7 +166,7 @@ def test_stop_signal_leaves_a_table_and_a_checkpoint(sweep, tmp_path, number, co
     hold_after(out, 1, process)
     process.send_signal(number)
     _, messages = process.communicate(timeout=60)
-    assert process.returncode == code and "the same command continues it" in messages
+    assert process.returncode == code and "repeating the command continues it" in messages
     assert "not run" in {row["status"] for row in rows(out)}
     assert len(list((out / "runs").glob("*/checkpoint_1.npz"))) == 1
 

@@ -96,7 +96,7 @@ def test_interrupted_sweep_stops_with_a_table_and_continues(home):
         time.sleep(0.1)
     driver.send_signal(signal.SIGINT)
     _, messages = driver.communicate(timeout=300)
-    assert driver.returncode == 130 and "the same command continues it" in messages
+    assert driver.returncode == 130 and "repeating the command continues it" in messages
     assert "not run" in {row["status"] for row in table(folder, "stopped")}
     granflow(folder, "sweep", "sweep.yaml", "--out", "stopped")
     assert table(folder, "stopped") == table(folder, "local")
