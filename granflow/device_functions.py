@@ -6,17 +6,31 @@ compilation, so that `ti.static(self.x)` removes branches. Numbers of `self` wou
 would be compiled again; device functions read them in `constants`, see `law.Law.parameters`.
 """
 
+import re
 from collections.abc import Callable
 from functools import cache, wraps
+from inspect import unwrap
+from pathlib import Path
 from typing import Any
 
 from granflow import kernel_language
+from granflow.errors import FunctionError
+
+_POSITION = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>\d+), in \w+:\n.*\n')
+"""Position in the message of a failed compilation, followed by the line of source."""
 
 
 class DeviceObject:
     """Base class of objects whose attributes device functions read; Taichi passes them unchanged."""
 
     _data_oriented = True
+
+    def title(self) -> str:
+        """Name of the object in messages."""
+        return type(self).__name__
+
+    def refuse_result(self, name: str, arguments: tuple[Any, ...], result: Any) -> None:
+        """Raise TypeError if the device function `name` returned other values than its callers expect."""
 
 
 class _CompiledFunction:
@@ -50,9 +64,68 @@ class _Taichi:
 
         @wraps(function)
         def inlined(*arguments: Any, **keywords: Any) -> Any:
-            return compiled()(*arguments, **keywords)
+            if not (arguments and _is_from_outside(arguments[0])):
+                return compiled()(*arguments, **keywords)
+            try:
+                result = compiled()(*arguments, **keywords)
+                arguments[0].refuse_result(function.__name__, arguments[1:], result)
+            except Exception as error:
+                name = f"The function {function.__name__} of {arguments[0].title()}"
+                text = f"{name} cannot be compiled: {reason_of(error, function)}."
+                raise _compilation_error()(text) from None
+            return result
 
         return at_compile_time(inlined)
+
+
+def _is_from_outside(owner: Any) -> bool:
+    """Whether a device function is a method of a class that a program defines."""
+    return isinstance(owner, DeviceObject) and not type(owner).__module__.startswith("granflow.")
+
+
+def reason_of(error: Exception, function: Callable[..., Any]) -> str:
+    """Reason why a device function of a program cannot be compiled, without a final period.
+
+    error:     exception of the kernel language; its message contains the positions of all calls, outermost first
+    Returns:   `file:line: reason`, with the innermost position outside of granflow and the kernel language; that of the
+               definition if there is none
+    """
+    text = str(error)
+    positions = [each for each in _POSITION.finditer(text) if not _is_library(each["file"])]
+    code = getattr(unwrap(getattr(function, "func", function)), "__code__", None)
+    where = f"{code.co_filename}:{code.co_firstlineno}: " if code else ""
+    if positions:
+        where = f"{positions[-1]['file']}:{positions[-1]['line']}: "
+    rest = _POSITION.split(text)[-1].strip()
+    if rest.startswith("Traceback"):
+        rest = rest.splitlines()[-1]
+    rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
+    words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split())
+    return f"{where}{words.rstrip('. ') or type(error).__name__}"
+
+
+def _is_library(file: str) -> bool:
+    """Whether a source file is one of granflow or the kernel language."""
+    package = Path(__file__).parent
+    library = Path(kernel_language.ti.__file__).parent
+    return any(folder in Path(file).parents for folder in (package, library))
+
+
+@cache
+def _compilation_error() -> type[FunctionError]:
+    """Exception of a device function of a program, which remains one sentence.
+
+    While the callers are compiled, the kernel language raises its own exceptions again as
+    `type(error)(position + text)`: only the last line is kept.
+    """
+    base: Any = getattr(kernel_language.ti, f"{kernel_language.KERNELS.title()}CompilationError")
+
+    class CompilationError(FunctionError, base):
+        def __init__(self, text: str) -> None:
+            super().__init__(text.strip().splitlines()[-1])
+
+    CompilationError.__module__, CompilationError.__qualname__ = FunctionError.__module__, FunctionError.__qualname__
+    return CompilationError
 
 
 ti: Any = _Taichi()

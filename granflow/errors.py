@@ -80,7 +80,8 @@ class StopRun(Exception):
 class FunctionError(GranflowError):
     """A function from Python, such as that of an observer, failed; the message gives its name and the simulated time.
 
-    The original exception is `__cause__`.
+    The original exception is `__cause__`. For a force or a contact model that cannot be compiled, the message gives the
+    function, its file and line, and the reason of the kernel language.
 
         try:
             simulation.run()

@@ -155,10 +155,15 @@ class Scene(SceneInput):
         groups = self.particles if self.start_from is None else {}
         return [
             f"{self.locate('particles', name, 'insert', 'kind')}: particles.{name}.insert.kind is python: a Python "
-            "program adds these particles, and granflow run has none. Choose another kind, such as lattice or file."
+            "program adds these particles, and a command line has none. Choose another kind, such as lattice or file."
             for name, group in groups.items()
             if group.insert.kind == "python"
         ]
+
+    def refuse_program(self) -> None:
+        """Raise SceneError for a group whose particles only a program adds."""
+        if problems := self.problems_without_program():
+            raise SceneError(problems)
 
     def with_precision(self, precision: Precision) -> "Scene":
         """The same scene with another floating-point precision."""

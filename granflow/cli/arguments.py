@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.errors import SceneError
-
 if TYPE_CHECKING:
     from granflow.load import Scene
 
@@ -125,6 +123,5 @@ def load(options: argparse.Namespace) -> "Scene":
 def load_runnable(options: argparse.Namespace) -> "Scene":
     """Read the scene of a run, as `load`. Raises SceneError also for a group whose particles a program adds."""
     scene = load(options)
-    if problems := scene.problems_without_program():
-        raise SceneError(problems)
+    scene.refuse_program()
     return scene

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from granflow.cli.arguments import add_machine, add_scene_verb, load, simulated_time, thread_count
+from granflow.cli.arguments import add_machine, add_scene_verb, load, load_runnable, simulated_time, thread_count
 from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
 
@@ -20,9 +20,9 @@ def explain(options: argparse.Namespace) -> int:
 
     Raises GranflowError for options that require --measure.
     """
-    scene = load(options)
     if options.measure:
-        return measure(options, scene)
+        return measure(options, load_runnable(options))
+    scene = load(options)
     given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
     if given:
         raise GranflowError(f"--{given[0]} requires --measure: give both or neither.")

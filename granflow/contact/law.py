@@ -87,7 +87,27 @@ class Law(DeviceObject):
     """Limitations of the model, in one sentence."""
     required: ClassVar[tuple[str, ...]] = ()
     """Functions that every model of a slot defines."""
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {"stored_energy": ("number",), "lost_energy": ("number",)}
+    """Kinds of the values of each device function: number, vector or history."""
     constant_names: ClassVar[tuple[str, ...]] = ()
+
+    def title(self) -> str:
+        """Name in messages."""
+        return f"the contact model {self.name}"
+
+    def refuse_result(self, name: str, arguments: tuple[Any, ...], result: Any) -> None:
+        """Raise TypeError if a device function returned other values than `returns`, or a history of other fields."""
+        expected = self.returns.get(name)
+        if expected is None:
+            return
+        values = result if isinstance(result, list | tuple) else [result]
+        kinds = tuple(_kind(value) for value in values)
+        if kinds != expected:
+            found = ", ".join(kinds) or "nothing"
+            raise TypeError(f"{name} must return ({', '.join(expected)}), not ({found})")
+        for value, kind in zip(values, expected, strict=True):
+            if kind == "history" and set(value.keys) != set(self.history_names):
+                raise TypeError(f"{name} must return the history with its fields ({', '.join(self.history_names)})")
 
     @classmethod
     def from_scene(cls, request: ModelRequest) -> "Law":
@@ -125,6 +145,17 @@ class Law(DeviceObject):
         return tuple(pair.options[name] for name in self.constant_names)
 
 
+def _kind(value: Any) -> str:
+    """Kind of a value of a device function while it is compiled."""
+    if value is None:
+        return "nothing"
+    if hasattr(value, "keys"):
+        return "history"
+    if hasattr(value, "is_tensor") and value.is_tensor():
+        return "vector" if tuple(value.get_shape()) == (3,) else "matrix"
+    return "number"
+
+
 @dataclass(frozen=True)
 class NormalLaw(Law):
     """A normal contact model.
@@ -135,6 +166,12 @@ class NormalLaw(Law):
     """
 
     required = ("force", "stored_energy", "phase_durations", "unloading_stiffness")
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("number", "number", "history"),
+        "prepare": ("history",),
+        **dict.fromkeys(("tangential_stiffness", "damping", "attraction"), ("number",)),
+    }
     constant_names: ClassVar[tuple[str, ...]] = ("modulus_eff", "shear_modulus_eff")
     tangential_stiffness_grows: ClassVar[bool] = True
     """True if the tangential stiffness is proportional to the square root of the overlap."""
@@ -295,6 +332,7 @@ class CohesionLaw(Law):
     """
 
     required = ("force",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
     at_distance: ClassVar[bool] = False
     """True for a model that acts without overlap, such as a liquid bridge."""
 

@@ -16,7 +16,7 @@ In addition to the members of `contact` for all models, see `law`, the struct ha
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,12 @@ class TangentialLaw(Law):
     """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
 
     required = ("force", "present_force", "limit")
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("vector", "history", "number"),
+        "present_force": ("vector", "number"),
+        "limit": ("number",),
+    }
 
     @property
     def damped(self) -> bool:
@@ -65,6 +71,7 @@ class TorqueLaw(Law):
     """A model of torques on the first particle of a pair; the opposite torques act on the second."""
 
     required = ("torque",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "torque": ("vector", "history", "number")}
 
     @ti.func
     def torque(self, constants, contact, history):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.device_functions import reason_of
 from granflow.engine.backend import Backend
 from granflow.engine.force.external_forces import compile_alone
 from granflow.errors import FunctionError, GranflowError
@@ -183,9 +184,8 @@ def check_compiled(force: ParticleForce, backend: Backend, time: float) -> None:
     try:
         compile_alone(backend, force.planned)
     except Exception as error:
-        reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
-        text = reason[0].rstrip(".")
-        raise FunctionError(f"The force {force.name} at {time:.6g} s cannot be compiled: {text}.") from error
+        reason = reason_of(error, force.function)
+        raise FunctionError(f"The force {force.name} at {time:.6g} s cannot be compiled: {reason}.") from error
 
 
 def _with_forces(plan: Plan, forces: Sequence[ParticleForce]) -> Plan:

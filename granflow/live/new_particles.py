@@ -1,5 +1,6 @@
 """Particles that are added from Python: arguments to arrays."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from granflow.live.values import array_of, in_domain, named
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.plan import Plan
 from granflow.plan.scene_parts import PlannedGroup
+from granflow.scene.checks.pairs import pair_name, possible_contacts
 
 
 def particle_data(
@@ -41,17 +43,18 @@ def particle_data(
     )
 
 
-def refuse_without_pair(plan: Plan, new: ParticleData, present: np.ndarray) -> None:
-    """Raise GranflowError if new particles can touch others without constants of the pair; `present`: group numbers."""
-    for number in np.unique(new.group):
-        own = plan.groups[number]
-        for other in [plan.groups[each] for each in {*present, *new.group[1:]}]:
-            first, second = own.material, other.material
-            if not (own.fixed and other.fixed) and (first, second) not in plan.pair_materials:
-                raise GranflowError(
-                    f"particles of {first} and {second} can be in contact now, but the scene has no pair "
-                    f"{first}-{second}; add it to pairs."
-                )
+def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
+    """Raise GranflowError if particles can be in contact without constants of their pair.
+
+    `counts`: number of particles of each group: present, added, and to be inserted.
+    """
+    mobile, fixed = Counter[str](), Counter[str]()
+    for group, count in zip(plan.groups, counts, strict=True):
+        if count:
+            (fixed if group.fixed else mobile)[group.material] += int(count)
+    for both, reason in possible_contacts(mobile, fixed, walls={}).items():
+        if (min(both), max(both)) not in plan.pair_materials:
+            raise GranflowError(f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs.")
 
 
 def _group_number(plan: Plan, material: str | None, group: str | None) -> int:

@@ -17,6 +17,8 @@ from granflow.runs.run_state import RunState
 
 LARGER = 2
 """Factor by which the capacity grows if there is no space for added particles."""
+READ_ONLY = ("id", "mass", "force", "material")
+"""Properties that follow from others."""
 
 
 class LiveParticles:
@@ -46,11 +48,15 @@ class LiveParticles:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Assignment to a property writes all particles; the result of an in-place operator is already written."""
-        if name.startswith("_"):
-            super().__setattr__(name, value)
-        elif not isinstance(getattr(type(self), name, None), property):
+        if not name.startswith("_") and not isinstance(getattr(type(self), name, None), property):
             raise AttributeError(f"particles has no property {name}.")
-        elif not (isinstance(value, ParticleArray) and value.is_of(self, name)):
+        if name in READ_ONLY:
+            getattr(self, name)[...] = value  # raises
+        super().__setattr__(name, value)
+
+    def _assign(self, name: str, value: Any) -> None:
+        """Write all particles; the result of an in-place operator is already written."""
+        if not (isinstance(value, ParticleArray) and value.is_of(self, name)):
             getattr(self, name)[...] = value
 
     @property
@@ -63,10 +69,18 @@ class LiveParticles:
         """Centers (n, 3) [m]; in a periodic box inside the box."""
         return ParticleArray(self, "position", lambda: self._motion()[0], self._write_position)
 
+    @position.setter
+    def position(self, value: Any) -> None:
+        self._assign("position", value)
+
     @property
     def velocity(self) -> ParticleArray:
         """Velocities (n, 3) [m/s] at the time of the positions."""
         return ParticleArray(self, "velocity", lambda: self._motion()[1], self._write_velocity)
+
+    @velocity.setter
+    def velocity(self, value: Any) -> None:
+        self._assign("velocity", value)
 
     @property
     def angular_velocity(self) -> ParticleArray:
@@ -75,10 +89,18 @@ class LiveParticles:
         write = self._write_angular_velocity if has_rotation else None
         return ParticleArray(self, "angular_velocity", self._angular_velocity, write)
 
+    @angular_velocity.setter
+    def angular_velocity(self, value: Any) -> None:
+        self._assign("angular_velocity", value)
+
     @property
     def diameter(self) -> ParticleArray:
         """Diameters (n,) [m], between those of the scene; the mass follows from the density."""
         return ParticleArray(self, "diameter", lambda: 2.0 * self._field("radius"), self._write_diameter)
+
+    @diameter.setter
+    def diameter(self, value: Any) -> None:
+        self._assign("diameter", value)
 
     @property
     def mass(self) -> ParticleArray:
@@ -94,6 +116,10 @@ class LiveParticles:
     def group(self) -> ParticleArray:
         """Names (n,) of the groups; a new group must have the same material, and be as mobile or fixed."""
         return ParticleArray(self, "group", lambda: self._names("group"), self._write_group)
+
+    @group.setter
+    def group(self, value: Any) -> None:
+        self._assign("group", value)
 
     @property
     def material(self) -> ParticleArray:
@@ -135,7 +161,7 @@ class LiveParticles:
         """
         engine = self._engine
         new = particle_data(self._state.plan, position, diameter, material, velocity, group, angular_velocity)
-        refuse_without_pair(self._state.plan, new, self._numbers("group"))
+        refuse_without_pair(self._state.plan, self._counts_with(new.group))
         engine.begin_change()
         needed = engine.state.count + len(new) + self._state.insertion.remaining
         if needed > self._state.plan.particle_capacity:
@@ -256,6 +282,13 @@ class LiveParticles:
     def _numbers(self, kind: str) -> np.ndarray:
         """Numbers (n,) of the groups or materials in the scene."""
         return self._engine.accounting.by_id(kind, self._field("id"))
+
+    def _counts_with(self, added: np.ndarray) -> np.ndarray:
+        """Number of particles of each group: present, to be inserted, and `added`, their group numbers."""
+        plan, pending = self._state.plan, self._state.insertion.results()
+        counts = np.bincount([*self._numbers("group"), *added], minlength=len(plan.groups))
+        waiting = [pending.get(group.name, {}).get("not_inserted_count", 0.0) for group in plan.groups]
+        return counts + np.array(waiting, dtype=np.int64)
 
     def _is_fixed(self, groups: np.ndarray) -> np.ndarray:
         """Whether each group number (n,) is that of a fixed group."""

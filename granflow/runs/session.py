@@ -78,7 +78,7 @@ class RunSession:
         if self._files.path is None or not self._state.progress.stage_times:
             return error
         self._loop.save()
-        return FunctionError(f"{error}. The state at this time is saved in {self._files.path}.")
+        return FunctionError(f"{str(error).rstrip('.')}. The state at this time is saved in {self._files.path}.")
 
     def _abandon(self) -> None:
         """During the handling of an exception, close the files as they are."""

@@ -60,6 +60,56 @@ def test_stokes_drag_follows_the_exponential_and_is_of_second_order(taichi_f64):
         assert abs(totals["energy_error"]) < h**2
 
 
+def resistance(position, velocity, radius, mass, time, parameters):
+    return mass * (parameters.acceleration - parameters.rate * velocity)
+
+
+def damped_motion(damping, step):
+    """Time [s], velocity (3,) and totals of a particle with the force m (a - k v) and damping; step [s]."""
+    scene = flying(damping=damping, run={"duration": 1.0, "time_step": step, "velocity_max": 1.0})
+    force = gf.ParticleForce(resistance, {"rate": 300.0, "acceleration": [0.0, 0.0, -20.0]})
+    with gf.Simulation(scene, forces=[force]) as simulation:
+        simulation.run(until=2e-3)
+        return simulation.time, simulation.particles.velocity[0], simulation.snapshot().totals
+
+
+def test_force_and_drag_of_the_scene_are_of_second_order_together(taichi_f64):
+    """dv/dt = a - (k + g) v with the force m (a - k v) and damping: {drag: g}. With r = k + g:
+
+        v_x = exp(-r t),   v_z = (a / r) (1 - exp(-r t))
+        damping D = m g I,   I = integral of v^2,   work of the force W = m a z - m k I
+
+    An extrapolation of the velocity without the drag has errors of 1e-3 instead, which halve with the step.
+    """
+    drag, rate, field_strength = 400.0, 300.0, -20.0
+    errors, r = [], drag + rate
+    for step in (4e-5, 2e-5):
+        time, velocity, totals = damped_motion({"drag": drag}, step)
+        decay, limit = math.exp(-r * time), field_strength / r
+        errors.append(velocity[0] / decay - 1.0)
+        second_order = (r * step) ** 2
+        np.testing.assert_allclose(velocity, [decay, 0.0, limit * (1.0 - decay)], rtol=second_order, atol=1e-12)
+        fallen = limit * (time - (1.0 - decay) / r)
+        squares = (1.0 - decay**2) / (2.0 * r)
+        squares += limit**2 * (time - 2.0 * (1.0 - decay) / r + (1.0 - decay**2) / (2.0 * r))
+        mass = 2.0 * MASS  # two particles
+        assert totals["damping_dissipation"] == pytest.approx(mass * drag * squares, rel=second_order)
+        work = mass * (field_strength * fallen - rate * squares)
+        assert totals["external_work"] == pytest.approx(work, rel=second_order)
+        assert abs(totals["energy_error"]) < second_order
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_cundall_damping_increases_the_resistance_of_a_force(taichi_f64):
+    """The damping a |F| opposes the velocity, as the force -m k v does:   v_x = exp(-(1 + a) k t)."""
+    errors = []
+    for step in (4e-5, 2e-5):
+        time, velocity, _ = damped_motion({"cundall": 0.3}, step)
+        errors.append(velocity[0] / math.exp(-1.3 * 300.0 * time) - 1.0)
+        assert abs(errors[-1]) < (1.3 * 300.0 * step) ** 2
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
 def test_constant_field_gives_the_parabola_and_its_parameter_changes_without_compilation(taichi_f64):
     force = gf.ParticleForce(field, parameters={"acceleration": (0.0, 0.0, -20.0)})
     with gf.Simulation(flying()) as simulation:

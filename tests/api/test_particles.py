@@ -1,5 +1,7 @@
 """Particles that are read and changed from Python while the simulation runs."""
 
+import re
+
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
@@ -212,17 +214,40 @@ def test_the_command_line_refuses_a_group_of_a_program(tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     program_scene().save("scene.yaml")
     assert main(["check", "scene.yaml"]) == 0 and "a Python program adds" in capsys.readouterr().err
-    assert main(["run", "scene.yaml"]) == 2
-    error = capsys.readouterr().err
-    assert "particles.balls.insert.kind is python" in error and not (tmp_path / "out").exists()
+    for command in (["run"], ["accuracy"], ["compare"], ["explain", "--measure"]):
+        assert main([*command, "scene.yaml"]) == 2
+        error = capsys.readouterr().err
+        assert re.match(r"scene\.yaml:\d+:\d+: particles\.balls\.insert\.kind is python: ", error), error
+        assert error.count("\n") == 2 and error.endswith("\n1 problem found.\n")
+        assert not (tmp_path / "out").exists()
+
+
+def without_pairs(groups):
+    """A scene of groups, without pairs."""
+    written = build_scene(groups).model_dump(mode="json", exclude_unset=True, by_alias=True) | {"pairs": {}}
+    return gf.Scene.from_dict(written)
 
 
 def test_particles_without_constants_of_their_contact_are_refused(taichi_f64):
     """One particle touches no other, so that its scene needs no pair; a second one would."""
-    scene = build_scene({"ball": particle_group([[0.0] * 3])})
-    written = scene.model_dump(mode="json", exclude_unset=True, by_alias=True) | {"pairs": {}}
-    with gf.Simulation(gf.Scene.from_dict(written)) as simulation:
-        with pytest.raises(gf.GranflowError, match="the scene has no pair glass-glass; add it to pairs"):
+    with gf.Simulation(without_pairs({"ball": particle_group([[0.0] * 3])})) as simulation:
+        message = "particles of glass can be in contact with each other now, but the scene has no pair glass-glass; "
+        with pytest.raises(gf.GranflowError, match=f"^{message}add it to pairs.$"):
             simulation.particles.add([0.1, 0.0, 0.0])
         simulation.step()
         assert len(simulation.particles) == 1
+        simulation.particles.remove([0])
+        simulation.particles.add([0.1, 0.0, 0.0])
+        with pytest.raises(gf.GranflowError, match="no pair glass-glass"):
+            simulation.particles.add([0.2, 0.0, 0.0])
+        simulation.step()
+        np.testing.assert_allclose(simulation.particles.position, [[0.1, 0.0, 0.0]])
+
+
+def test_a_particle_that_is_still_to_be_inserted_needs_the_pair(taichi_f64):
+    later = {
+        "kind": "rain", "region": {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}, "rate": 1.0, "start": 0.5,
+    }  # fmt: skip
+    groups = {"ball": {"material": "glass", "count": 1, "diameter": 0.01, "insert": later}}
+    with gf.Simulation(without_pairs(groups)) as simulation, pytest.raises(gf.GranflowError, match="no pair glass-gla"):
+        simulation.particles.add([0.5, 0.0, 0.0])

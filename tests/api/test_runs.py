@@ -84,3 +84,23 @@ def test_stages_begin_after_the_previous_ones_have_ended(taichi_f64):
         assert simulation.stage == "first"
         simulation.run(until=1.5e-3)
         assert simulation.stage == "second"
+
+
+def test_two_simulations_that_alternate_in_one_process_do_not_affect_each_other(taichi_f64):
+    """Scenes with equal features share kernels; each run has the bits of a run without the other one."""
+    starts = [[0.0, 0.0, -0.5], [0.1, 0.0, -1.0]]
+    alone = []
+    for start in starts:
+        with gf.Simulation(falling()) as simulation:
+            simulation.particles.velocity += start
+            simulation.step(60)
+            alone.append(simulation.particles.position[:])
+    with gf.Simulation(falling()) as first, gf.Simulation(falling()) as second:
+        for simulation, start in zip((first, second), starts, strict=True):
+            simulation.particles.velocity += start
+        for _ in range(6):
+            first.step(10)
+            second.step(10)
+        for simulation, expected in zip((first, second), alone, strict=True):
+            np.testing.assert_array_equal(simulation.particles.position, expected)
+    assert not np.array_equal(*alone)

@@ -36,7 +36,7 @@ def build_damped(state: State) -> Any:
     Writes:  damping_force, damping_torque, losses
     """
     particles, features, mobility = state.particles, state.plan.features, build_mobility(state)
-    damping_of, add_loss = _build_damping_of(state), build_add_damping_loss(state)
+    damping_of, add_loss = build_damping_of(state), build_add_damping_loss(state)
 
     @ti.func
     def damped(chunk, i, force, torque, dt):
@@ -55,7 +55,7 @@ def build_damped(state: State) -> Any:
     return damped
 
 
-def _build_damping_of(state: State) -> Any:
+def build_damping_of(state: State) -> Any:
     """Device function (force, velocity at the half step, mass): damping force; the same for rotation.
 
     Reads:  damping, force_clock

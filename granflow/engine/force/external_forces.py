@@ -2,9 +2,10 @@
 
 They are evaluated with the contact forces, at the time of the positions, and are part of `force`: integration,
 synchronized velocities and snapshots need no other term. Velocities are half a step behind; they are extrapolated with
-the total force, first without and then with the external forces:
+the total force, first without and then with the external forces. D(F) is the damping force, see `damping`:
 
-    v' = v(t - dt/2) + dt/2 F / m,      v'' = v(t - dt/2) + dt/2 (F + f(v')) / m,      f = f(x(t), v'', t)
+    v'  = v(t - dt/2) + dt/2 (F + D(F)) / m
+    v'' = v(t - dt/2) + dt/2 (F + f(v') + D(F + f(v'))) / m,      f = f(x(t), v'', t)
 
 which is of second order in dt for velocity-dependent forces. The work of a step is the mean of the forces at its ends
 times the displacement:
@@ -18,6 +19,7 @@ from granflow.device_functions import at_compile_time
 from granflow.engine.backend import Backend
 from granflow.engine.exact_sums import add_energy
 from granflow.engine.field_block import FieldBlock
+from granflow.engine.force.damping import build_damping_of
 from granflow.engine.force.structs import number_at, vector_at
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.state import State
@@ -43,19 +45,29 @@ def write_force_inputs(state: State, step: int, velocities_lag: bool = True) -> 
 
 
 def build_external_force(state: State) -> Any:
-    """Device function (chunk, i, force [N] without external forces, time_step): external force [N] on particle i.
+    """Device function (chunk, i, force [N], time_step): external force [N] on particle i.
 
-    Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters
+    `force`: without external forces and damping
+
+    Reads:   position, velocity, radius, mass, fixed, force_clock, force_parameters, damping
     Writes:  external_force, external_work
     """
     particles, control, real = state.particles, state.control, state.backend.real
     total_force, mobility, add_work = _build_sum(state), build_mobility(state), build_add_external_work(state)
+    damping_of = build_damping_of(state)
+
+    @ti.func
+    def present_velocity(i, force):
+        total = force
+        if ti.static(state.plan.features.damping != "none"):
+            total = force + damping_of(force, particles.velocity[i], particles.mass[i])
+        lag = mobility(i) * ti.cast(control.force_clock[3], real) / particles.mass[i]
+        return particles.velocity[i] + lag * total
 
     @ti.func
     def external_force(chunk, i, force, dt):
-        lag = mobility(i) * ti.cast(control.force_clock[3], real) / particles.mass[i]
-        first = total_force(i, particles.velocity[i] + lag * force)
-        found = total_force(i, particles.velocity[i] + lag * (force + first))
+        first = total_force(i, present_velocity(i, force))
+        found = total_force(i, present_velocity(i, force + first))
         particles.external_force[i] = found
         if ti.static(state.plan.features.energy_budget):
             add_work(chunk, i, found, particles.velocity[i], dt)

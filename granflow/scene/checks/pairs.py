@@ -1,6 +1,6 @@
 """Materials, their pairs, and the properties of pairs that the contact models require."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations_with_replacement, product
 
 from granflow.contact import registry
@@ -51,18 +51,24 @@ def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
     """
     known = parts.names("materials")
     existing = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")}
-    for both, why in _possible_contacts(parts.scene, known).items():
+    mobile, fixed = (_counts(parts.scene, set(known), fixed) for fixed in (False, True))
+    walls = {name: wall.material for name, wall in parts.scene.walls.items() if wall.material in known}
+    for both, why in possible_contacts(mobile, fixed, walls).items():
         if both not in existing:
-            key = "-".join(sorted(both) * (3 - len(both)))
-            yield missing(("pairs", key), f"{why}; give at least its restitution and friction")
+            yield missing(("pairs", pair_name(both)), f"{why}; give at least its restitution and friction")
 
 
-def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozenset[str], str]:
+def possible_contacts(
+    mobile: Mapping[str, int], fixed: Iterable[str], walls: Mapping[str, str]
+) -> dict[frozenset[str], str]:
     """Material pairs whose particles or walls can come into contact, with the reason.
 
-    Fixed particles touch neither each other nor walls; a material with a single particle does not touch itself.
+    mobile:  number of mobile particles for each of their materials
+    fixed:   materials of fixed particles, which touch neither each other nor walls
+    walls:   material of each wall
+
+    A material with a single particle does not touch itself.
     """
-    mobile, fixed = (_counts(scene, set(known), fixed) for fixed in (False, True))
     found: dict[frozenset[str], str] = {}
     for a, b in combinations_with_replacement(mobile, 2):
         if a != b or mobile[a] > 1:
@@ -70,11 +76,15 @@ def _possible_contacts(scene: SceneInput, known: Iterable[str]) -> dict[frozense
             found[frozenset((a, b))] = f"particles of {a} can be in contact with {other}"
     for a, b in product(mobile, fixed):
         found.setdefault(frozenset((a, b)), f"particles of {a} can be in contact with fixed ones of {b}")
-    for (name, wall), a in product(scene.walls.items(), mobile):
-        if wall.material in known:
-            reason = f"particles of {a} can be in contact with the wall {name} of {wall.material}"
-            found.setdefault(frozenset((a, wall.material)), reason)
+    for (name, material), a in product(walls.items(), mobile):
+        reason = f"particles of {a} can be in contact with the wall {name} of {material}"
+        found.setdefault(frozenset((a, material)), reason)
     return found
+
+
+def pair_name(both: frozenset[str]) -> str:
+    """Key of a pair of materials under `pairs`."""
+    return "-".join(sorted(both) * (3 - len(both)))
 
 
 def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:

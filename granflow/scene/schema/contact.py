@@ -52,8 +52,8 @@ class Contact(Model):
     normal: LawSettings
     tangential: str | LawSettings
     rolling: str | LawSettings
-    twisting: str | LawSettings
-    cohesion: str | LawSettings
+    twisting: str | LawSettings = "none"
+    cohesion: str | LawSettings = "none"
 
     def name(self, slot: str) -> str:
         """Name of the model of a slot, or "none"."""

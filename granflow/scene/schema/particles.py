@@ -60,7 +60,7 @@ class ThermalMotion(Model):
             yield redundant("granular_temperature", "velocity_rms")
 
 
-class Group(Model):
+class Group(Model, populate_by_name=False):
     """Particles of one material with one kind of insertion.
 
     Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
@@ -108,7 +108,7 @@ class Group(Model):
     @classmethod
     def _count_rows(cls, given: Any) -> Any:
         """Fill in the count from a list of positions."""
-        if not isinstance(given, dict) or given.keys() & {"count", "count_given"}:
+        if not isinstance(given, dict) or "count" in given:
             return given
         insertion = given.get("insert")
         positions = insertion.get("positions") if isinstance(insertion, dict) else getattr(insertion, "positions", None)

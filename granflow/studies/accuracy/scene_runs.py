@@ -52,8 +52,10 @@ class SceneTask:
         return SceneTask(self.path, (*self.overrides, *more), self.until)
 
     def scene(self) -> Scene:
-        """Load the scene. Raises SceneError if it is invalid."""
-        return load_scene(self.path, self.overrides)
+        """Load the scene. Raises SceneError if it is invalid, or if a program adds its particles."""
+        scene = load_scene(self.path, self.overrides)
+        scene.refuse_program()
+        return scene
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,184 @@
+"""Errors in the functions of forces and contact models: one sentence with function, file, line and reason."""
+
+from dataclasses import dataclass
+from inspect import getsourcelines
+from pathlib import Path
+
+import pytest
+from scene_builders import build_scene, particle_group
+
+import granflow as gf
+from granflow.contact.law import CohesionLaw, HistoryField
+from granflow.contact.model import ContactModel
+from granflow.device_functions import ti
+from granflow.scene.registration import unregister_contact_model
+
+
+def undefined(position, velocity, radius, mass, time, parameters):
+    factor = 2.0
+    return factor * velocity * viscosity  # noqa: F821
+
+
+def member(position, velocity, radius, mass, time, parameters):
+    return parameters.viscosiy * velocity
+
+
+def text(position, velocity, radius, mass, time, parameters):
+    return velocity * "a"
+
+
+def early(position, velocity, radius, mass, time, parameters):
+    if radius > 0.0:
+        return velocity
+    return -velocity
+
+
+def two_values(position, velocity, radius, mass, time, parameters):
+    return velocity, mass
+
+
+def nothing(position, velocity, radius, mass, time, parameters):
+    force = mass * velocity  # noqa: F841
+
+
+FORCES = {
+    undefined: (2, 'Name "viscosity" is not defined'),
+    member: (1, "AttributeError: the struct has no attribute 'viscosiy'"),
+    text: (1, "Invalid constant scalar data type: <class 'str'>"),
+    early: (2, "Return inside non-static if/for is not supported"),
+    two_values: (0, "the function must return a vector of three components [N]"),
+    nothing: (0, "the function must return a vector of three components [N]"),
+}
+"""Functions with an error: number of the line in the function, and reason."""
+
+
+class Faulty(CohesionLaw):
+    """Texts of all models of this test."""
+
+    source = "this test"
+    limits = "cannot be compiled"
+
+    def reference(self, contact):
+        return 0.0, {}
+
+
+@ti.func
+def helper(overlap):
+    return overlap * stiffness  # noqa: F821
+
+
+@dataclass(frozen=True)
+class Undefined(Faulty):
+    name = "undefined_name"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return helper(contact.overlap), history
+
+
+@dataclass(frozen=True)
+class Member(Faulty):
+    name = "missing_member"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return contact.overlapp, history
+
+
+@dataclass(frozen=True)
+class OneValue(Faulty):
+    name = "one_value"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return contact.overlap
+
+
+@dataclass(frozen=True)
+class Kind(Faulty):
+    name = "vector_for_number"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return ti.Vector([contact.overlap] * 3), history
+
+
+@dataclass(frozen=True)
+class Early(Faulty):
+    name = "early_return"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        if contact.overlap > 1.0:
+            return contact.overlap, history
+        return contact.overlap, history
+
+
+@dataclass(frozen=True)
+class OtherHistory(Faulty):
+    name = "other_history"
+
+    @property
+    def history(self):
+        return (HistoryField("largest", "largest overlap", "m"),)
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return contact.overlap, ti.Struct(smallest=contact.overlap)
+
+
+MODELS = {
+    Undefined: (helper, 2, 'Name "stiffness" is not defined'),
+    Member: (Member.force, 2, "AttributeError: the struct has no attribute 'overlapp'"),
+    OneValue: (OneValue.force, 0, "force must return (number, history), not (number)"),
+    Kind: (Kind.force, 0, "force must return (number, history), not (vector, history)"),
+    Early: (Early.force, 3, "Return inside non-static if/for is not supported"),
+    OtherHistory: (OtherHistory.force, 0, "force must return the history with its fields (largest)"),
+}
+"""Models with an error: function, number of the line in the function with its decorator, and reason."""
+
+
+def position_of(function, line):
+    """File and line of the source, as in messages."""
+    return f"{Path(__file__)}:{getsourcelines(function)[1] + line}"
+
+
+def scene(**more):
+    """Two particles that overlap."""
+    return build_scene({"balls": particle_group([[0.0] * 3, [0.0, 0.0099, 0.0]])}, **more)
+
+
+@pytest.mark.parametrize("function", FORCES)
+def test_force_that_cannot_be_compiled(taichi_f64, function):
+    line, reason = FORCES[function]
+    force = gf.ParticleForce(function, {"viscosity": 1.0})
+    expected = f"The force {function.__name__} at 0 s cannot be compiled: {position_of(function, line)}: {reason}."
+    with pytest.raises(gf.FunctionError) as error:
+        gf.Simulation(scene(), forces=[force])
+    assert str(error.value) == expected
+    with gf.Simulation(scene()) as simulation:
+        with pytest.raises(gf.FunctionError) as error:
+            simulation.forces.append(force)
+        assert str(error.value) == expected
+        simulation.step(2)
+
+
+@pytest.mark.parametrize("law", MODELS)
+def test_contact_model_that_cannot_be_compiled(taichi_f64, tmp_path, law):
+    function, line, reason = MODELS[law]
+    model = ContactModel(law, "cannot be compiled")
+    gf.register_contact_model(model)
+    try:
+        contact = {"normal": "hertz", "tangential": "none", "rolling": "none", "cohesion": law.name}
+        with (
+            pytest.raises(gf.FunctionError) as error,
+            gf.Simulation(scene(contact=contact), out=tmp_path / "run") as simulation,
+        ):
+            simulation.step()
+    finally:
+        unregister_contact_model(model)
+    where = position_of(function, line)
+    sentence = f"The function force of the contact model {law.name} cannot be compiled: {where}: {reason}."
+    assert str(error.value) == sentence
+    with gf.Simulation(scene()) as simulation:
+        simulation.step(2)
