@@ -245,3 +245,22 @@ def test_largest_overlap_is_that_of_small_particles_with_large_ones():
     plan = plan_for(scene)
     overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(scene)}
     assert set(overlaps) == {"particles of small and large"} and np.isfinite(list(overlaps.values())).all()
+
+
+REGION = {"box": {"min": [-0.1] * 3, "max": [0.1] * 3}}
+MASS = pi / 6.0 * 0.004**3 * 2500.0
+"""Mass [kg] of a particle of 4 mm."""
+
+
+@pytest.mark.parametrize("flow", [{"rate": 1000.0}, {"mass_flow": 1000.0 * MASS}])
+def test_insertion_that_the_run_is_too_short_for_is_reported(flow):
+    """500 particles at 1000 per second from 0.1 s on take 499 ms; a run of 0.3 s inserts 201."""
+    insertion = {"kind": "rain", "region": REGION, "start": 0.1} | flow
+    rain = {"material": "glass", "count": 500, "diameter": 0.004, "insert": insertion}
+    (warning,) = warnings_of(build_scene({"rain": rain}, run={"duration": 0.3}))
+    assert (
+        "the insertion of 500 particles takes 0.499 s from 0.1 s on, but the run ends at 0.3 s, after about 201 of them"
+        in warning
+    )
+    assert f"Raise {next(iter(flow))} or the duration" in warning
+    assert warnings_of(build_scene({"rain": rain}, run={"duration": 0.6})) == []

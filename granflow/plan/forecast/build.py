@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from granflow.contact.laws import ContactLaws
 from granflow.load import Scene
 from granflow.plan.forecast.files import file_warnings
+from granflow.plan.forecast.insertion import insertion_warnings
 from granflow.plan.forecast.overlaps import Forecast, impact_forecast, static_forecasts
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
@@ -37,5 +38,6 @@ def forecasts_of(
         *wall_warnings(scene, walls),
         *region_warnings(scene, walls),
         *servo_warnings(scene, walls, controlled),
+        *insertion_warnings(scene),
     ):
         yield Forecast("", "", sentence, sentence)

@@ -95,25 +95,25 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
         if group.fixed or not magnitude:
             continue
         area = _section_of(scene, group, gravity / magnitude)
-        total += magnitude * _volume(group) * solid(scene, group.material).density / area
+        total += magnitude * group.count * mean_volume(group) * solid(scene, group.material).density / area
         largest_section = max(largest_section, area)
         densest = max(densest, solid(scene, group.material).density)
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
-def _volume(group: Group) -> float:
-    """Volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters."""
+def mean_volume(group: Group) -> float:
+    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters."""
     if isinstance(group.insert, FileInsertion):
         diameters = np.array(diameter_range(group))
     else:
         count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLE)
         diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
-    return group.count * pi / 6.0 * float(np.mean(diameters**3))
+    return pi / 6.0 * float(np.mean(diameters**3))
 
 
 def solid_volume(scene: Scene) -> float:
     """Volume [m3] of all particles."""
-    return sum(_volume(group) for group in scene.particles.values())
+    return sum(group.count * mean_volume(group) for group in scene.particles.values())
 
 
 def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:

@@ -1,0 +1,43 @@
+"""Forecasts of insertions that the run is too short for."""
+
+from collections.abc import Iterator
+
+from granflow.load import Scene
+from granflow.plan.forecast.pressures import mean_volume
+from granflow.plan.pair_cases import solid
+from granflow.plan.scene_parts import planned_stages
+from granflow.scene.schema.insertion import InletInsertion, RainInsertion
+from granflow.scene.schema.particles import Group
+
+TOLERANCE = 0.01
+"""Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
+
+
+def insertion_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
+
+    The run takes its longest duration. Space is not considered: a full region delays particles further.
+    """
+    end = sum(stage.longest for stage in planned_stages(scene))
+    for name, group in scene.particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            continue
+        interval = _interval(scene, group, insertion)
+        inserted = 0.0 if insertion.start > end else (end - insertion.start) / interval + 1.0
+        if inserted < (1.0 - TOLERANCE) * group.count:
+            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+            flow = "rate" if insertion.rate else "mass_flow"
+            yield (
+                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s from "
+                f"{insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about {inserted:.3g} of them. Raise "
+                f"{flow} or the duration."
+            )
+
+
+def _interval(scene: Scene, group: Group, insertion: RainInsertion | InletInsertion) -> float:
+    """Mean time [s] between two particles."""
+    if insertion.rate:
+        return 1.0 / insertion.rate
+    assert insertion.mass_flow is not None
+    return mean_volume(group) * solid(scene, group.material).density / insertion.mass_flow
