@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from granflow import __version__
 from granflow.studies.page import page_text
 from granflow.studies.tables import PageTable
+from granflow.studies.validation.adhesion import adhesion_cases
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import elastic_cases, restitution_cases
 from granflow.studies.validation.motion import motion_cases
@@ -19,21 +21,19 @@ FAMILIES: Mapping[str, Family] = {
     "elastic collisions": elastic_cases,
     "restitution": restitution_cases,
     "oblique impacts": oblique_cases,
+    "adhesion and viscoelasticity": adhesion_cases,
     "particles on planes": motion_cases,
 }
 """Functions that simulate the cases, by the name in progress messages."""
-HEADS = (
-    "case",
-    "reference",
-    "granflow",
-    "unit",
-    "deviation",
-    "allowed",
-    "status",
-    "source",
-    "allowed because",
-    "remark",
-)
+HEADS = ("case", "reference", "granflow", "unit", "deviation", "allowed", "status", "note")
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of the page: table of cases, and numbered notes with source, reason of the allowed deviation, remark."""
+
+    table: PageTable
+    notes: tuple[str, ...]
 
 
 def write_validation(
@@ -61,7 +61,7 @@ def rendered(template: str, stored: Mapping[str, Any]) -> str:
     kinds = dict.fromkeys(each.kind for each in cases)
     return page_text(
         template,
-        tables={kind: table_of([each for each in cases if each.kind == kind]) for kind in kinds},
+        sections={kind: section_of([each for each in cases if each.kind == kind]) for kind in kinds},
         failed=[each.name for each in cases if each.status == "fail"],
         count=len(cases),
         version=stored["version"],
@@ -69,13 +69,21 @@ def rendered(template: str, stored: Mapping[str, Any]) -> str:
     )
 
 
-def table_of(cases: Sequence[ValidationCase]) -> PageTable:
-    """Table of cases with a row for each."""
+def section_of(cases: Sequence[ValidationCase]) -> Section:
+    """Table with a row for each case; cases of equal source, derivation and remark refer to the same note."""
+    notes = list(dict.fromkeys(_note(each) for each in cases))
     rows = [
         (
-            each.name, f"{each.reference:.6g}", f"{each.value:.6g}", each.unit, f"{100.0 * each.deviation:+.2g} %",
-            f"{100.0 * each.allowed:.2g} %", each.status, each.source, each.derivation, each.remark,
+            each.name, f"{each.reference:.6g}", f"{each.value:.6g}", "" if each.unit == "1" else each.unit,
+            f"{100.0 * each.deviation:+.2g} %", f"{100.0 * each.allowed:.2g} %", each.status,
+            str(notes.index(_note(each)) + 1),
         )
         for each in cases
     ]  # fmt: skip
-    return PageTable(HEADS, rows)
+    return Section(PageTable(HEADS, rows), tuple(notes))
+
+
+def _note(case: ValidationCase) -> str:
+    """Source, reason of the allowed deviation, and remark of a case."""
+    parts = (f"Reference: {case.source}", f"Allowed deviation: {case.derivation}", case.remark)
+    return ". ".join(each.rstrip(".") for each in parts if each) + "."
