@@ -25,7 +25,7 @@ FAMILIES: Mapping[str, Family] = {
     "particles on planes": motion_cases,
 }
 """Functions that simulate the cases, by the name in progress messages."""
-HEADS = ("case", "reference", "granflow", "unit", "deviation", "allowed", "status", "note")
+HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "note")
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ def section_of(cases: Sequence[ValidationCase]) -> Section:
     notes = list(dict.fromkeys(_note(each) for each in cases))
     rows = [
         (
-            each.name, f"{each.reference:.6g}", f"{each.value:.6g}", "" if each.unit == "1" else each.unit,
-            f"{100.0 * each.deviation:+.2g} %", f"{100.0 * each.allowed:.2g} %", each.status,
-            str(notes.index(_note(each)) + 1),
+            each.name if each.unit == "1" else f"{each.name} [{each.unit}]",
+            f"{each.reference:.6g}", f"{each.value:.6g}", f"{100.0 * each.deviation:+.2g} %",
+            f"{100.0 * each.allowed:.2g} %", each.status, str(notes.index(_note(each)) + 1),
         )
         for each in cases
     ]  # fmt: skip
