@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
-from granflow.engine.kernel_source import source_lines
+from granflow.engine.kernel_source import shorten_front_end
 from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
@@ -92,7 +92,9 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         atexit.register(_stop_and_remove, folder)
     if KERNELS == "taichi":
         ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
-        ti.lang.kernel_impl.getsourcelines = source_lines
+        shorten_front_end(ti.lang.kernel_impl)
+        for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
+            module.get_traceback = _no_traceback
     wrapped = guarded if KERNELS == "taichi" else in_context
     ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
     _init(
@@ -122,6 +124,11 @@ def _position_in_source(context: Any, node: Any) -> str:
     """
     line = f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
     return line + context.src[node.lineno - 1] + "\n"
+
+
+def _no_traceback(stacklevel: int = 1) -> str:
+    """Replaces the function of Taichi that formats the call stack of each field: it reads some 60 source files."""
+    return ""
 
 
 def _init(workers: int, **options: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.backend import Backend
+from granflow.engine.host_fields import HostBlock, host_block
 from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
 
@@ -14,9 +15,11 @@ from granflow.plan.device_arrays import DeviceArray
 class FieldBlock:
     """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
 
-    def __init__(self) -> None:
+    def __init__(self, backend: Backend) -> None:
         self._builder = ti.FieldsBuilder()
+        self._on_cpu = backend.on_cpu
         self._tree: Any = None
+        self._host: HostBlock | None = None
         self.fields: list[Any] = []
 
     def scalar(self, dtype: Any, *shape: int) -> Any:
@@ -54,9 +57,19 @@ class FieldBlock:
     def finish(self) -> None:
         """Allocate the fields; no field can be added afterwards."""
         self._tree = self._builder.finalize()
+        self._host = host_block(self.fields, self._on_cpu)
+
+    def clear(self) -> bool:
+        """Fill all fields with zeros; returns False, and does nothing, if only a kernel can."""
+        if self._host is not None:
+            self._host.clear()
+        return self._host is not None
 
     def free(self) -> None:
         """Free the memory; the fields cannot be used afterwards."""
+        if self._host is not None:
+            self._host.release()
+            self._host = None
         if self._tree is not None:
             self._tree.destroy()
             self._tree = None
@@ -82,14 +95,6 @@ def write_padded(field: Any, values: np.ndarray) -> None:
     padded = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
     padded[: len(values)] = values
     field.from_numpy(padded)
-
-
-def components(field: Any) -> list[Any]:
-    """Scalar fields of the components of a field, row by row."""
-    if not hasattr(field, "n"):
-        return [field]
-    indices = np.ndindex(field.n, field.m)
-    return [field.get_scalar_field(i, j) if field.m > 1 else field.get_scalar_field(i) for i, j in indices]
 
 
 class Fields:

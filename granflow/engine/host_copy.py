@@ -1,6 +1,7 @@
 """Copies between device fields and the host: insertion, snapshots, checkpoints.
 
-The `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves small arrays only.
+On a GPU, the `to_numpy` of Taichi compiles a kernel for each field and copies the whole capacity; it serves small
+arrays only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -8,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.field_block import components
+from granflow.engine.host_fields import components, memory_of
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.kernel_language import ti
@@ -16,15 +17,23 @@ from granflow.plan.device_arrays import particle_arrays, saved_arrays
 
 
 class FieldTable:
-    """Fields of the same length: copies selected entries of all fields to the host and back with one kernel.
+    """Fields of the same length: copies selected entries of all fields to the host and back.
 
     fields:  scalar and vector fields by name; None is ignored
 
-    The reals form one table, in the widest of their types, which represents each exactly, and the integers another.
+    On a CPU from and to their memory; on a GPU with one kernel: the reals form one table, in the widest of their types,
+    which represents each exactly, and the integers another.
     """
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         self.fields = {name: field for name, field in fields.items() if field is not None}
+        self._memory = {name: memory_of(field) for name, field in self.fields.items()}
+        self._in_memory = all(memory is not None for memory in self._memory.values())
+        if not self._in_memory:
+            self._build_tables()
+
+    def _build_tables(self) -> None:
+        """Assign columns of the two tables to the fields, and build the kernels."""
         by_type: dict[bool, list[Any]] = {False: [], True: []}
         self._columns: dict[str, tuple[bool, slice]] = {}
         for name, field in self.fields.items():
@@ -40,6 +49,8 @@ class FieldTable:
 
     def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
         """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
+        if self._in_memory:
+            return {name: memory.take(entries, axis=0) for name, memory in self._memory.items() if memory is not None}
         tables = self._tables(len(entries))
         if len(entries):
             self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
@@ -52,6 +63,10 @@ class FieldTable:
 
     def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:
         """Write arrays, as returned by `take`, or one number for all, to the entries with these indices (k,)."""
+        if self._in_memory:
+            for name, memory in self._memory.items():
+                _put_entries(memory, entries, np.asarray(arrays[name]))
+            return
         tables = self._tables(len(entries))
         for name, (is_integer, columns) in self._columns.items():
             values = np.asarray(arrays[name])
@@ -62,6 +77,11 @@ class FieldTable:
     def _tables(self, count: int) -> dict[bool, np.ndarray]:
         """Tables of reals (False) and integers (True); at least one column, because Taichi refuses none."""
         return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
+
+
+def _put_entries(memory: Any, entries: np.ndarray, values: np.ndarray) -> None:
+    """Write numbers (k,), vectors (k, components) or one number to entries of a field; numbers fill vectors."""
+    memory[entries] = values[:, None] if values.ndim == 1 and memory.ndim == 2 else values
 
 
 def _build_take_and_put(

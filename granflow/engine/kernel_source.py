@@ -1,11 +1,13 @@
-"""Source text of kernels for Taichi, which reads every function again wherever it is inlined."""
+"""Source text and syntax trees of kernels for Taichi, which reads every function again wherever it is inlined."""
 
 import ast
 import inspect
 import linecache
+import textwrap
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 PACKAGE = str(Path(__file__).parents[1])
@@ -37,3 +39,53 @@ def _functions(block: Any) -> Iterator[ast.FunctionDef]:
         if isinstance(statement, ast.FunctionDef):
             yield statement
         yield from _functions(statement)
+
+
+def shorten_front_end(kernel_impl: Any) -> None:
+    """Make Taichi read and parse each function once: half of the time in which it builds syntax trees.
+
+    kernel_impl:  module `taichi.lang.kernel_impl`, of which names are replaced
+    """
+    trees = TreePool()
+    kernel_impl.getsourcelines = source_lines
+    kernel_impl.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
+    kernel_impl.ast = SimpleNamespace(parse=trees.parse)
+    kernel_impl.transform_tree = trees.returning(kernel_impl.transform_tree)
+
+
+def filled(line: str, **options: Any) -> str:
+    """The line as from `textwrap.fill` with a width above its length."""
+    return textwrap.fill(line, **options) if "\t" in line or not line.isascii() else line.rstrip()
+
+
+class TreePool:
+    """Syntax trees of device functions that are not in use, with all their nodes, by source text."""
+
+    def __init__(self) -> None:
+        self._free: dict[str, list[list[Any]]] = {}
+        self._used: dict[int, tuple[str, list[Any]]] = {}
+
+    def parse(self, text: str) -> Any:
+        """Syntax tree of a text; one of the pool, if possible."""
+        free = self._free.setdefault(text, [])
+        nodes = free.pop() if free else [*ast.walk(ast.parse(text))]
+        self._used[id(nodes[0])] = text, nodes
+        return nodes[0]
+
+    def returning(self, transform: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Wraps `transform_tree` (tree, context), so that the tree of an inlined function returns to the pool.
+
+        Trees of kernels and real functions lose their arguments in it; a failure ends with an exception.
+        """
+
+        def transform_and_return(tree: Any, context: Any) -> Any:
+            text, nodes = self._used.pop(id(tree))
+            found = transform(tree, context)
+            if not (context.is_kernel or context.is_real_function):
+                for node in nodes:  # the value of a node, and the object of a method call
+                    node.__dict__.pop("ptr", None)
+                    node.__dict__.pop("caller", None)
+                self._free[text].append(nodes)
+            return found
+
+        return transform_and_return

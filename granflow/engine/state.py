@@ -8,7 +8,8 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
-from granflow.engine.field_block import FieldBlock, Fields, components, write_padded
+from granflow.engine.field_block import FieldBlock, Fields, write_padded
+from granflow.engine.host_fields import components
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
@@ -223,7 +224,8 @@ class State:
         Raises nothing for another structure, see `plan.structure`; the caller compares.
         """
         self.plan, self.capacities = plan, replace(self.capacities, chunk_count=plan.chunk_capacity)
-        self.built(_build_clear)()
+        if not self._block.clear():
+            self.built(_build_clear)()
         self._begin()
 
     def _begin(self) -> None:
@@ -245,7 +247,7 @@ class State:
         return self._block.fields
 
     def _allocate(self) -> None:
-        plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock()
+        plan, capacities, backend, block = self.plan, self.capacities, self.backend, FieldBlock(self.backend)
         self._block = block
         self.parameters = Parameters(block, plan, capacities, backend)
         self.particles = Particles(block, plan, backend)

@@ -46,7 +46,7 @@ class ContactOutput:
     """Forces and overlaps of all contacts at the present positions; the contact histories do not change."""
 
     def __init__(self, state: State) -> None:
-        self.state, self.block = state, FieldBlock()
+        self.state, self.block = state, FieldBlock(state.backend)
         self.capacity = state.capacities.list_entries
         real = state.backend.real
         self.numbers = self.block.vector(real, self.capacity, count=len(QUANTITIES))

@@ -28,7 +28,7 @@ class ContactStatistics:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.block, chunks = FieldBlock(), state.plan.capacities.chunks
+        self.block, chunks = FieldBlock(state.backend), state.plan.capacities.chunks
         self.sums = self.block.vector(ti.i64, chunks, count=len(SUMS))
         self.energies = self.block.vector(ti.i64, chunks, count=2 * len(ENERGIES))
         self.largest = self.block.scalar(state.backend.real, chunks)

@@ -152,7 +152,7 @@ def compile_alone(backend: Backend, force: ExternalForce) -> None:
 
     Raises the exceptions of the kernel language.
     """
-    block, real = FieldBlock(), backend.real
+    block, real = FieldBlock(backend), backend.real
     values, result = block.scalar(ti.f64, max(len(force.numbers), 1)), block.vector(ti.f64, 1)
     block.finish()
     call, position_real = _build_call(force, 0, values), backend.position_real

@@ -18,7 +18,7 @@ class MaxImpactVelocity:
 
     def __init__(self, state: State) -> None:
         self.state = state
-        self.block = FieldBlock()
+        self.block = FieldBlock(state.backend)
         self._squares = self.block.scalar(state.backend.real, state.plan.capacities.chunks)
         self.block.finish()
         self._scan = _build_scan(state, self._squares)

@@ -1,0 +1,87 @@
+"""Views of field memory show what kernels write, and kernels read what the host writes."""
+
+import numpy as np
+import pytest
+
+from granflow.engine import backend
+from granflow.engine.field_block import FieldBlock
+from granflow.engine.host_fields import memory_of
+from granflow.kernel_language import ti
+
+SHAPES = {"number": (7,), "vector": (5, 3), "table": (4, 6), "vectors": (4, 6, 2), "matrices": (2, 3, 3, 3)}
+
+
+@pytest.fixture
+def block(taichi_f64):
+    """Block of interleaved and separate fields of all kinds, with batch columns between them."""
+    block = FieldBlock(backend.start())
+    fields = {"number": block.scalar(ti.i32, 7), "vector": block.vector(ti.f32, 5), "table": block.scalar(ti.i64, 4, 6)}
+    block.column(block.parts(2), ti.f64, 24)
+    fields |= {"vectors": block.vector(ti.f64, 4, 6, count=2), "matrices": block.matrix(ti.f64, 2, 3)}
+    pair = ti.field(ti.f64), ti.Vector.field(2, ti.i32)
+    block._placed((9,), *pair)
+    fields |= {"first": pair[0], "second": pair[1]}
+    block.finish()
+    yield block, fields
+    block.free()
+
+
+def numbered(shape):
+    return np.arange(np.prod(shape)).reshape(shape)
+
+
+def test_host_reads_what_kernels_write(block):
+    matrices = block[1]["matrices"]
+
+    @ti.kernel
+    def write():
+        for i, j in matrices:
+            for row, column in ti.static(ti.ndrange(3, 3)):
+                matrices[i, j][row, column] = 9 * (3 * i + j) + 3 * row + column
+
+    write()
+    assert np.array_equal(matrices.to_numpy(), numbered(SHAPES["matrices"]))
+
+
+def test_kernels_read_what_the_host_writes(block):
+    _, fields = block
+    for field in fields.values():
+        field.from_numpy(1 + numbered(memory_of(field).shape).astype(memory_of(field).dtype))
+    scalar, vector, table = fields["first"], fields["second"], fields["table"]
+    found = np.zeros((9, 3)), np.zeros((4, 6), np.int64)
+
+    @ti.kernel
+    def read(interleaved: ti.types.ndarray(), numbers: ti.types.ndarray()):
+        for i in scalar:
+            interleaved[i, 0], interleaved[i, 1], interleaved[i, 2] = scalar[i], vector[i][0], vector[i][1]
+        for i, j in table:
+            numbers[i, j] = table[i, j]
+
+    read(*found)
+    expected = [1 + numbered((9,)), 1 + numbered((9, 2))]
+    assert np.array_equal(found[0], np.column_stack(expected))
+    assert np.array_equal(found[1], 1 + numbered((4, 6)))
+    for name, shape in SHAPES.items():
+        assert np.array_equal(fields[name].to_numpy(), 1 + numbered(shape)), name
+
+
+def test_single_entries_of_fields(block):
+    _, fields = block
+    fields["number"][3] = 5
+    fields["vector"][2] = [1.0, 2.0, 3.0]
+    assert fields["number"][3] == 5 and type(fields["number"][3]) is int
+    assert fields["vector"][2][1] == 2.0
+    assert fields["vector"].to_numpy()[2].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_cleared_block_is_zero_and_freed_fields_have_no_view(block):
+    held, fields = block
+    fields["table"].fill(3)
+    assert held.clear() and not any(field.to_numpy().any() for field in fields.values())
+    held.free()
+    assert all(memory_of(field) is None for field in fields.values())
+
+
+def test_array_of_another_shape_is_refused(block):
+    with pytest.raises(ValueError, match=r"shape \(1,\), but the field has \(7,\)"):
+        block[1]["number"].from_numpy(np.ones(1, np.int32))
