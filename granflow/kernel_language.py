@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any, Literal, cast
 
 from granflow.errors import GranflowError
+from granflow.kernel_source import shorten_front_end
 
 VARIABLE = "GRANFLOW_KERNELS"
 """Environment variable that selects the kernel language."""
@@ -39,5 +40,7 @@ def __getattr__(name: str) -> Any:
         raise GranflowError(
             f"{KERNELS} is not installed: run pip install 'granflow[quadrants]', or unset {VARIABLE}."
         ) from None
+    if KERNELS == "taichi":
+        shorten_front_end(module.lang.kernel_impl)
     globals()["ti"] = module
     return module

@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
+    "kernel_source",
     "kernel_language",
     "device_functions",
     "visible_text",

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, usable_folder
-from granflow.engine.kernel_source import shorten_front_end
 from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
@@ -92,7 +91,6 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         atexit.register(_stop_and_remove, folder)
     if KERNELS == "taichi":
         ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
-        shorten_front_end(ti.lang.kernel_impl)
         for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
             module.get_traceback = _no_traceback
     wrapped = guarded if KERNELS == "taichi" else in_context

@@ -27,7 +27,7 @@ class FieldTable:
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         self.fields = {name: field for name, field in fields.items() if field is not None}
-        self._memory = {name: memory_of(field) for name, field in self.fields.items()}
+        self._memory: dict[str, Any] = {name: memory_of(field) for name, field in self.fields.items()}
         self._in_memory = all(memory is not None for memory in self._memory.values())
         if not self._in_memory:
             self._build_tables()
@@ -47,10 +47,12 @@ class FieldTable:
         self._types = {False: (len(by_type[False]), real), True: (len(by_type[True]), np.int32)}
         self._take, self._put = _build_take_and_put(by_type[False], by_type[True])
 
-    def take(self, entries: np.ndarray) -> dict[str, np.ndarray]:
+    def take(self, entries: np.ndarray | slice) -> dict[str, np.ndarray]:
         """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
         if self._in_memory:
-            return {name: memory.take(entries, axis=0) for name, memory in self._memory.items() if memory is not None}
+            return {name: np.array(memory[entries], order="C") for name, memory in self._memory.items()}
+        if isinstance(entries, slice):
+            entries = np.arange(entries.start, entries.stop)
         tables = self._tables(len(entries))
         if len(entries):
             self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
@@ -134,7 +136,7 @@ def copy_to_host(
     Returns:      arrays (k,) or (k, 3) in the types of the fields
     """
     table = state.built(particle_table, names)
-    return table.take(np.arange(first, state.count if last is None else last))
+    return table.take(slice(first, state.count if last is None else last))
 
 
 def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:

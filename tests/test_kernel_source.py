@@ -1,6 +1,7 @@
 """Taichi gets the same source of device functions as from `inspect`."""
 
 import inspect
+import re
 import textwrap
 from importlib import import_module
 from pkgutil import walk_packages
@@ -9,7 +10,7 @@ from typing import Any
 
 import granflow.contact
 import granflow.engine
-from granflow.engine.kernel_source import TreePool, filled, source_lines
+from granflow.kernel_source import TreePool, filled, inside_class, source_lines
 
 
 def functions():
@@ -68,3 +69,22 @@ def test_syntax_trees_of_kernels_are_not_used_again():
     for tree in trees:
         transform_tree(tree, SimpleNamespace(is_kernel=True, is_real_function=False))
     assert pool.parse("def f(): pass") not in trees
+
+
+def test_decorators_know_whether_they_are_in_a_class_body():
+    found = []
+
+    def decorator(function):
+        found.append(inside_class([re.compile("class ")], 3))
+        return function
+
+    class Holder:
+        @decorator
+        def method(self):
+            """In a class."""
+
+    @decorator
+    def function():
+        """In a function."""
+
+    assert found == [True, False]

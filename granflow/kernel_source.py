@@ -3,14 +3,16 @@
 import ast
 import inspect
 import linecache
+import sys
 import textwrap
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from pathlib import Path
+from re import Pattern
 from types import SimpleNamespace
 from typing import Any
 
-PACKAGE = str(Path(__file__).parents[1])
+PACKAGE = str(Path(__file__).parent)
 """Folder of the package."""
 
 
@@ -48,9 +50,21 @@ def shorten_front_end(kernel_impl: Any) -> None:
     """
     trees = TreePool()
     kernel_impl.getsourcelines = source_lines
+    kernel_impl._inside_class = partial(inside_class, kernel_impl._KERNEL_CLASS_STACKFRAME_STMT_RES)
     kernel_impl.textwrap = SimpleNamespace(fill=filled, dedent=textwrap.dedent)
     kernel_impl.ast = SimpleNamespace(parse=trees.parse)
     kernel_impl.transform_tree = trees.returning(kernel_impl.transform_tree)
+
+
+def inside_class(patterns: Sequence[Pattern[str]], level_of_class_stackframe: int) -> bool:
+    """Whether a decorator is applied in a class body, as `_inside_class` of Taichi, which searches all modules.
+
+    patterns:                   of the statement that creates a class
+    level_of_class_stackframe:  call frames from here to that statement
+    """
+    frame = sys._getframe(level_of_class_stackframe)
+    statement = linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
+    return any(pattern.match(statement) for pattern in patterns)
 
 
 def filled(line: str, **options: Any) -> str:
