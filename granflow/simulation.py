@@ -15,10 +15,13 @@ from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
+from granflow.parallel.communicator import Communicator
+from granflow.parallel.rank_engine import RankEngine
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.build import plan_for
 from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
+from granflow.plan.ranks import rank_plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
@@ -59,6 +62,7 @@ class Simulation:
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
     forces:         forces on particles from device functions
+    communicator:   distributes the particles over MPI ranks; this process is the root, and no checkpoint is written
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, or `particles` does not match the groups of the scene
 
@@ -83,6 +87,7 @@ class Simulation:
         allow_long: bool = False,
         plan: Plan | None = None,
         forces: Sequence[ParticleForce] = (),
+        communicator: Communicator | None = None,
     ) -> None:
         wall_clock = WallClock()
         refuse_other_object(scene)
@@ -90,14 +95,14 @@ class Simulation:
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
-        self.files = RunDirectory(None if out is None else Path(out), scene, resume)
+        self.files = RunDirectory(None if out is None else Path(out), scene, resume, checkpoints=communicator is None)
         original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         plan = original if resume is None else changed_plan(original, resume)
         plan = plan_with_forces(plan, forces, backend)
         refuse_too_many(plan)
         refuse_run_time(plan, allow_long)
         if backend.on_cpu:
-            refuse_without_memory(plan)
+            refuse_without_memory(plan if communicator is None else rank_plan(plan, communicator.size))
         else:
             refuse_without_device_memory(plan, backend.arch)
         change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
@@ -110,7 +115,7 @@ class Simulation:
         self.files.create()
         own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
         self.observers = ObserverList(own_observers, observers)
-        engine = Engine(plan, backend)
+        engine = Engine(plan, backend) if communicator is None else RankEngine(plan, backend, communicator)
         self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
         self._loop, self._in_block = TimeLoop(self._state, self.files), False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)

@@ -24,6 +24,7 @@ LAYERS = (
     "load",
     "plan",
     "engine",
+    "parallel",
     "observers",
     "runs",
     "live",

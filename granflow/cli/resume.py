@@ -49,7 +49,9 @@ def resume(options: argparse.Namespace) -> int:
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
     from granflow.io.lock import locked
+    from granflow.parallel.launch import refuse_without_mpi_flag
 
+    refuse_without_mpi_flag()
     with locked(out):
         return _resume(options, out)
 

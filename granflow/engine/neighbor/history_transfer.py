@@ -6,6 +6,11 @@ from granflow.engine.state import State
 from granflow.kernel_language import ti
 
 
+def vector_components(state: State, slot: str) -> list[bool]:
+    """For each component of a history, whether it is one of a vector: it changes its sign with the order of a pair."""
+    return [each.size > 1 for each in state.plan.laws.history[slot] for _ in range(each.size)]
+
+
 def build_save_history(state: State) -> Any:
     """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
@@ -51,9 +56,7 @@ def build_restore_history(state: State) -> Any:
     """
     neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
     names = list(neighbors.history)
-    is_vector = {
-        name: [each.size > 1 for each in state.plan.laws.history[name] for _ in range(each.size)] for name in names
-    }
+    is_vector = {name: vector_components(state, name) for name in names}
 
     @ti.func
     def find_saved(row, partner):
@@ -86,3 +89,21 @@ def build_restore_history(state: State) -> Any:
                     neighbors.history[name][list_index][k] = value
 
     return restore_history
+
+
+def build_clear_history(state: State) -> Any:
+    """Device function (list index, i, j): clear a new list entry, whose history the host writes.
+
+    On MPI ranks, where a contact history can come from another rank.
+
+    Writes:  history, in_contact
+    """
+    neighbors, names = state.neighbors, list(state.neighbors.history)
+
+    @ti.func
+    def clear_history(list_index, i, j):
+        neighbors.in_contact[list_index] = 0
+        for name in ti.static(names):
+            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+
+    return clear_history

@@ -16,7 +16,7 @@ from granflow.engine.neighbor.cells import (
     cells_within,
     wrapped_cell,
 )
-from granflow.engine.neighbor.history_transfer import build_restore_history
+from granflow.engine.neighbor.history_transfer import build_clear_history, build_restore_history
 from granflow.engine.neighbor.phases import Phase
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
@@ -45,7 +45,7 @@ def fill_phase(state: State) -> Phase:
     """
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
-    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
+    lists, longest_allowed, has_ghosts = NeighborListFill(state), NO_LIMIT, state.plan.has_ghosts
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
@@ -53,7 +53,10 @@ def fill_phase(state: State) -> Phase:
     def present_count(rebuild):
         present = 0
         if rebuild.count > 0:
-            present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
+            if ti.static(has_ghosts):
+                present = sorting.owned_count[0]  # the lists of ghosts are on the ranks that own them
+            else:
+                present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
         return present
 
     @ti.func
@@ -112,7 +115,8 @@ class NeighborListFill:
         self.domain_low, self.domain_high, self.force_range = (
             state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
         )
-        self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
+        restore = build_clear_history if plan.has_ghosts else build_restore_history
+        self.restore_history: Any = restore(state) if state.neighbors.history else None
         self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
         self.image_index = build_image_index(state)
 
