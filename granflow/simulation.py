@@ -27,6 +27,7 @@ from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
+from granflow.runs.ranks import NO_CHECKPOINTS
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
@@ -111,6 +112,8 @@ class Simulation:
             refuse_other_functions(resume, plan.external_forces, functions, allow_changes)
         initial, earlier = initial_state(scene, plan, particles, resume)
         self.warnings = warnings_before(scene, plan, initial)
+        if communicator is not None:
+            self.warnings.append(NO_CHECKPOINTS)
         insertion = ParticleInsertion(scene, earlier)
         self.files.create()
         own_observers = observers_for(plan, self.files.path, progress, self.files.writer)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.engine.ghost_kernels import ABORT, FLAGS, PARTICLE, REBUILD, STOP, GhostKernels
+from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
 from granflow.parallel.communicator import Communicator, joined
@@ -99,6 +100,12 @@ class GhostExchange:
         self._sends = _parts(self._out, [len(rows) for rows in entries])
         self._receives = _parts(self._in, received)
 
+    def compile(self) -> None:
+        """Compile the kernels, unless the state has them, by launching them on empty ranges."""
+        kernels = self._state.built(GhostKernels)
+        kernels.pack(0, self._entries, self._out, self._flags)
+        kernels.unpack(0, 0, self._in)
+
     def update(self) -> None:
         """Update the ghosts from their owners; keeps the flags of this rank for `agree`."""
         kernels = self._state.built(GhostKernels)
@@ -119,9 +126,12 @@ class GhostExchange:
             control.abort[0], control.abort_particle[0] = int(agreed[ABORT]), -int(agreed[PARTICLE])
         return bool(agreed[REBUILD]), bool(agreed[STOP])
 
-    def read_flags(self) -> None:
-        """Read the flags of this rank for `agree`."""
-        self._state.built(GhostKernels).pack(0, self._entries, self._out, self._flags)
+    def read_abort(self) -> None:
+        """Read the abort of this rank for `agree`."""
+        control, flags = self._state.control, self._flags
+        flags[REBUILD], flags[ABORT], flags[PARTICLE] = 0, int(control.abort[0]), -NO_PARTICLE
+        if flags[ABORT]:
+            flags[PARTICLE] = -int(control.abort_particle[0])
 
 
 def _parts(buffer: np.ndarray, lengths: list[int]) -> list[tuple[int, np.ndarray]]:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from granflow.engine.force.external_forces import write_force_inputs
-from granflow.engine.ghost_kernels import GhostKernels
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
 from granflow.engine.stepper import Stepper
@@ -19,13 +18,10 @@ class RankStepper(Stepper):
 
     Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stops after the integration and
     after the forces, so that all of them take the same steps.
-
-    `exchange_seconds`: wall-clock time [s] of packing, messages and agreements, waiting for slower ranks included
     """
 
     def __init__(self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]) -> None:
         self._requested = self._agreed = False
-        self.exchange_seconds = 0.0
         self._rank_rebuild = RankRebuild(state, communicator, on_deleted, self._grow_capacities)
         super().__init__(state, lambda _first, _last: None)
 
@@ -50,8 +46,7 @@ class RankStepper(Stepper):
     def _compile(self) -> None:
         super()._compile()
         began = clock.perf_counter()
-        self.state.built(GhostKernels)
-        self._rank_rebuild.ghosts.read_flags()
+        self._rank_rebuild.ghosts.compile()
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, pose: int = 0) -> None:
@@ -77,7 +72,7 @@ class RankStepper(Stepper):
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`; an abort of one rank becomes that of all."""
         super().forces(pose, history_step)
-        self._rank_rebuild.ghosts.read_flags()
+        self._rank_rebuild.ghosts.read_abort()
         self._agree()
 
     def _agree(self) -> bool:
@@ -102,7 +97,7 @@ class RankStepper(Stepper):
         if plan.has_poses:
             self._pose += done
         self.timing.sampled_integration += integrated - began
-        self.exchange_seconds += exchanged - integrated
+        self.timing.exchange += exchanged - integrated
         self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
         self.timing.step_count += done
         self.timing.particle_steps += done * self._rank_rebuild.total_count
@@ -126,10 +121,10 @@ class RankStepper(Stepper):
         began = clock.perf_counter()
         self._launch_step(1, self._pose, self.state.clock.time_step, moving=0)
         computed = clock.perf_counter()
-        self._rank_rebuild.ghosts.read_flags()
+        self._rank_rebuild.ghosts.read_abort()
         self._agree()
         self.timing.sampled_forces += computed - began
-        self.exchange_seconds += clock.perf_counter() - computed
+        self.timing.exchange += clock.perf_counter() - computed
         if self.abort_code:
             return 0
         if not is_due:

@@ -7,8 +7,12 @@ from granflow.load import Scene
 from granflow.observers.coarse_graining.accumulation import CONTACT_FIELDS
 from granflow.plan.walls import is_force_controlled
 from granflow.scene.schema.analysis import FabricMetric, SlidingMetric
+from granflow.scene.schema.output import Checkpoints
 
 REMEDY = "run the scene without --mpi"
+
+NO_CHECKPOINTS = "A run with --mpi writes no checkpoints yet: it cannot be resumed."
+"""Warning of each run on ranks."""
 
 
 def refuse_on_ranks(scene: Scene, arch: str = "cpu") -> None:
@@ -29,6 +33,9 @@ def _refused(scene: Scene) -> Iterator[tuple[tuple[str, ...], str, str]]:
     """Key, its value in words, and the remedy."""
     if scene.domain.lees_edwards is not None:
         yield ("domain", "lees_edwards"), "(a sheared box)", REMEDY
+    if scene.run.precision != "f64":
+        # In mixed and f32 the bits of some scenes depend on the order of the particles, also without ranks.
+        yield ("run", "precision"), scene.run.precision, "set it to f64"
     if scene.run.time_step == "adaptive":
         yield ("run", "time_step"), "adaptive", "set it to auto"
     for name in scene.outlets:
@@ -43,8 +50,8 @@ def _refused(scene: Scene) -> Iterator[tuple[tuple[str, ...], str, str]]:
 def _refused_output(scene: Scene) -> Iterator[tuple[tuple[str, ...], str, str]]:
     """The same for the block `output`: what needs a list of all contacts, and checkpoints."""
     output = scene.output
-    if "checkpoint" in output.model_fields_set:
-        yield ("output", "checkpoint"), "(checkpoints)", "remove it; the run then writes no checkpoint"
+    if output.checkpoint != Checkpoints():
+        yield ("output", "checkpoint"), "(its own interval or number)", "remove it; the run then writes no checkpoint"
     if output.contacts:
         yield ("output", "contacts"), "true", "set it to false"
     if scene.measured_walls and output.walls:

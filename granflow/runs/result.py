@@ -29,7 +29,8 @@ class Result:
     """Numbers of a completed run, in SI units.
 
     `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
-    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, output, compile.
+    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, exchange (only
+    on MPI ranks), output, compile.
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
     `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
     inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
