@@ -89,6 +89,7 @@ def _cuts(
     np.maximum.at(bounds[0], part, points)
     np.maximum.at(bounds[1], part, -points)
     bounds = communicator.largest_of(bounds)
+    bounds = np.where(np.isfinite(bounds), bounds, 0.0)  # infinite without particles
     high, low = bounds[0], -bounds[1]
     axes = np.argmax(high - low, axis=1)
     rows = np.arange(parts)
