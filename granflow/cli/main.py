@@ -23,7 +23,7 @@ from granflow.cli.scenes import add_cache, add_check, add_run, add_schema, run
 from granflow.cli.signals import stop_signals
 from granflow.cli.stability import add_stability
 from granflow.cli.streams import standard_streams
-from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution
+from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution, add_validate
 from granflow.cli.sweep import add_sweep
 from granflow.errors import GranflowError
 from granflow.visible_text import visible
@@ -100,6 +100,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_analyze(verbs)
     add_beverloo(verbs)
     add_paper(verbs)
+    add_validate(verbs)
     add_accuracy(verbs)
     add_compare(verbs)
     add_stability(verbs)

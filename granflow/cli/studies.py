@@ -1,4 +1,4 @@
-"""Verbs that study contact models: collide, restitution, fit, paper.
+"""Verbs that study contact models: collide, restitution, fit, paper, validate.
 
 Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (2011).
 """
@@ -81,6 +81,22 @@ def paper(options: argparse.Namespace) -> int:
     return 0
 
 
+def validate(options: argparse.Namespace) -> int:
+    """`granflow validate`: compare published numbers and closed forms with simulations, on one page.
+
+    Writes the page as HTML and Markdown, and its data as JSON. Returns 1 if a deviation exceeds the allowed one.
+    """
+    from granflow.studies.validation.report import write_validation
+
+    out = options.out or Path("out/validation")
+    cases = write_validation(out, report=say_progress)
+    failed = [each for each in cases if each.status == "fail"]
+    for each in failed:
+        say(f"fail: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} {each.unit}")
+    say(f"{len(cases) - len(failed)} of {len(cases)} cases pass. Open {out / 'validation.html'} in a browser.")
+    return 1 if failed else 0
+
+
 def add_collide(verbs: Any) -> None:
     """Add `granflow collide` and its arguments.
 
@@ -139,3 +155,9 @@ def add_paper(verbs: Any) -> None:
     """Add `granflow paper` and its arguments."""
     summary = "reproduce the figures and tables of Zhou (2011) and compare all contact models, on one page"
     add_out(add_verb(verbs, paper, summary), "out/paper")
+
+
+def add_validate(verbs: Any) -> None:
+    """Add `granflow validate` and its arguments."""
+    summary = "compare published numbers and closed forms with simulations, on one page"
+    add_out(add_verb(verbs, validate, summary), "out/validation")

@@ -55,7 +55,7 @@ def stubs(monkeypatch, tmp_path):
         if isinstance(calls.raises, SceneError):
             raise calls.raises
         return types.SimpleNamespace(
-            problems_without_program=list,
+            refuse_program=lambda: None,
             **vars(empty_scene()) | dict(path=Path(path), title="Two [spheres]", expect=("one",)),
         )
 

@@ -60,7 +60,7 @@ class ThermalMotion(Model):
             yield redundant("granular_temperature", "velocity_rms")
 
 
-class Group(Model, populate_by_name=False):
+class Group(Model, populate_by_name=False, serialize_by_alias=True):
     """Particles of one material with one kind of insertion.
 
     Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may

@@ -1,0 +1,48 @@
+"""Record of one validation case: reference, simulated value, allowed deviation and status."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class ValidationCase:
+    """One number of a reference and the same number from granflow, both in `unit` (SI).
+
+    kind, name:  section of the page, and what is compared
+    reference:   published number or closed form; `source` gives its origin
+    value:       number from granflow
+    allowed:     largest allowed deviation, relative to `scale`; `derivation` gives its reason
+    scale:       value to which the deviation is relative; None for the reference
+    remark:      where the reference is used beyond its range, or empty
+    """
+
+    kind: str
+    name: str
+    reference: float
+    source: str
+    value: float
+    unit: str
+    allowed: float
+    derivation: str
+    scale: float | None = None
+    remark: str = ""
+
+    @property
+    def deviation(self) -> float:
+        """Difference of value and reference relative to the scale; nan if the value is not a number."""
+        return (self.value - self.reference) / abs(self.reference if self.scale is None else self.scale)
+
+    @property
+    def status(self) -> str:
+        """`pass` if the deviation is at most the allowed one, otherwise `fail`; a value that is not finite fails."""
+        return "pass" if math.isfinite(self.deviation) and abs(self.deviation) <= self.allowed else "fail"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Fields of the case for JSON, with deviation and status."""
+        return asdict(self) | {"deviation": self.deviation, "status": self.status}
+
+    @classmethod
+    def from_dict(cls, stored: dict[str, Any]) -> "ValidationCase":
+        """Case from `as_dict`; deviation and status are computed again."""
+        return cls(**{name: value for name, value in stored.items() if name not in ("deviation", "status")})

@@ -1,0 +1,173 @@
+"""Validation cases of particles on planes: sliding, rolling and bouncing, against closed forms of rigid spheres.
+
+MFiX verification manual: Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019.
+"""
+
+import math
+from collections.abc import Mapping
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+
+from granflow import Scene, Simulation
+from granflow.contact import theory
+from granflow.studies.validation.case import ValidationCase
+
+GRAVITY = 9.81
+RADIUS, DENSITY, POISSON = 5e-4, 1e4, 0.3
+MODULUS = 1e7
+"""Young's modulus [Pa] of the sliding and rolling spheres."""
+SPEED, FRICTIONS = 0.1, (0.2, 0.5, 1.0)
+"""Initial velocity [m/s] and friction of spheres that slide, then roll."""
+ANGLE, SLOPE_FRICTIONS, SLOPE_TIME = math.radians(30.0), (0.1, 0.15, 0.3, 0.6), 0.05
+"""Slope [rad] of an incline, friction of its spheres, and duration [s]; slip begins at tan a = 3.5 mu."""
+AFTER_SLIP = 1.05
+"""Start of the mean velocity of rolling over the time at which slip ends."""
+SETTLED = 0.5
+"""Share of the duration on the incline after which the acceleration is measured."""
+ROLLING_ERROR = 2e-3
+"""Allowed deviation of slip and rolling: overlap over radius, 1e-3, changes the lever arm, twice with the radius."""
+STIFF, BOUNCE_RADIUS, DROP, BOUNCE_RESTITUTION = 1e12, 0.1, 0.4, 0.9
+"""Young's modulus [Pa], radius [m], fall height [m] and restitution of the bouncing particle of the MFiX manual."""
+
+
+def motion_cases() -> list[ValidationCase]:
+    """Free fall with rebounds, the transition from sliding to rolling, and spheres on an incline."""
+    return bouncing_cases() + rolling_cases() + incline_cases()
+
+
+def resting_overlap(acceleration: float) -> float:
+    """Overlap [m] at which a Hertz contact with a floor of the same material balances the weight of a sphere."""
+    mass = 4.0 / 3.0 * math.pi * RADIUS**3 * DENSITY
+    k = theory.hertz_stiffness(MODULUS / (2.0 * (1.0 - POISSON**2)), RADIUS)
+    return float((mass * acceleration / k) ** (2.0 / 3.0))
+
+
+def spheres_on_floor(frictions: tuple[float, ...], velocity: float, gravity: tuple[float, ...], end: float) -> Scene:
+    """Spheres on a floor in a row along y, one material for each friction; `gravity` [m/s2], `end` [s]."""
+    solid = {"young_modulus": MODULUS, "poisson_ratio": POISSON, "density": DENSITY}
+    names, height = [f"sphere_{number}" for number in range(len(frictions))], RADIUS - resting_overlap(-gravity[2])
+    of_floor = {
+        f"{name}-floor": {"restitution": 0.5, "friction": mu} for name, mu in zip(names, frictions, strict=True)
+    }
+    frictionless = {
+        f"{a}-{b}": {"restitution": 0.5, "friction": 0.0} for a, b in combinations_with_replacement(names, 2)
+    }
+    groups = {
+        name: group(name, RADIUS, [0.0, 0.005 * number, height], [velocity, 0.0, 0.0])
+        for number, name in enumerate(names)
+    }
+    return scene(dict.fromkeys([*names, "floor"], solid), frictionless | of_floor, groups, gravity, end, 0.2)
+
+
+def group(material: str, radius: float, position: list[float], velocity: list[float]) -> dict[str, Any]:
+    """Group of one particle as a block of a scene, in SI units."""
+    return {
+        "material": material, "count": 1, "diameter": 2.0 * radius, "velocity": velocity,
+        "insert": {"kind": "positions", "positions": [position]},
+    }  # fmt: skip
+
+
+def scene(
+    materials: Mapping[str, Any], pairs: Mapping[str, Any], groups: Mapping[str, Any], gravity: tuple[float, ...],
+    end: float, velocity_max: float,
+) -> Scene:  # fmt: skip
+    """Scene of particles above a floor at z = 0 of the material `floor`, with Zhou's model and Mindlin friction."""
+    floor = {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "floor"}
+    return Scene.from_dict({
+        "title": "Validation", "gravity": list(gravity), "materials": dict(materials),
+        "pairs": {**pairs}, "particles": dict(groups), "walls": {"floor": floor},
+        "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
+        "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
+        "run": {"duration": end, "velocity_max": velocity_max, "precision": "f64"},
+        "output": {"interval": end},
+    })  # fmt: skip
+
+
+def states(given: Scene, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Positions, velocities and angular velocities (times, n, 3) of a run near `times`, and the exact `time` [s]."""
+    simulation, found = Simulation(given), []
+    for time in times:
+        simulation.step(max(round((time - simulation.time) / simulation.time_step), 1))
+        found.append((simulation.time, simulation.snapshot().particles))
+    simulation.free()
+    names = ("position", "velocity", "angular_velocity")
+    columns = {name: np.array([each[name] for _, each in found]) for name in names}
+    return columns | {"time": np.array([time for time, _ in found])}
+
+
+def rolling_cases() -> list[ValidationCase]:
+    """Sliding spheres on a floor: velocity of rolling 5/7 u0, and time of slip 2/7 u0/(mu g)."""
+    end = 2.6 / 7.0 * SPEED / (FRICTIONS[0] * GRAVITY)
+    found = states(spheres_on_floor(FRICTIONS, SPEED, (0.0, 0.0, -GRAVITY), end), np.linspace(0.0, 0.999 * end, 400))
+    velocity, rotation = found["velocity"][:, :, 0], RADIUS * found["angular_velocity"][:, :, 1]
+    slip, cases = velocity - rotation, []
+    source = "MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019"
+    for number, mu in enumerate(FRICTIONS):
+        sliding = slip[:, number] > 0.2 * SPEED
+        line = np.polyfit(found["time"][sliding], slip[sliding, number], 1)
+        rolls = found["time"] > AFTER_SLIP * 2.0 / 7.0 * SPEED / (mu * GRAVITY)
+        mean = float(velocity[rolls, number].mean())
+        for name, reference, value in (
+            ("mean velocity of rolling over the initial velocity", 5.0 / 7.0, mean / SPEED),
+            ("time of slip, mu g t / u0", 2.0 / 7.0, float(-line[1] / line[0]) * mu * GRAVITY / SPEED),
+        ):
+            cases.append(
+                ValidationCase(
+                    "Sliding and rolling", f"mu = {mu:g}: {name}", reference, source, value, "1", ROLLING_ERROR,
+                    "the overlap, 0.1 % of the radius, shortens the lever arm",
+                    remark="The tangential spring is not damped: the velocity oscillates; its mean is compared.",
+                )
+            )  # fmt: skip
+    return cases
+
+
+def incline_cases() -> list[ValidationCase]:
+    """Spheres released on an incline: acceleration 5/7 g sin a without slip, g (sin a - mu cos a) with slip."""
+    gravity = (GRAVITY * math.sin(ANGLE), 0.0, -GRAVITY * math.cos(ANGLE))
+    times = np.linspace(0.0, 0.999 * SLOPE_TIME, 200)
+    found = states(spheres_on_floor(SLOPE_FRICTIONS, 0.0, gravity, SLOPE_TIME), times)
+    late, cases = found["time"] > SETTLED * SLOPE_TIME, []
+    for number, mu in enumerate(SLOPE_FRICTIONS):
+        slips = math.tan(ANGLE) > 3.5 * mu
+        rolling, sliding = 5.0 / 7.0 * gravity[0], gravity[0] + mu * gravity[2]
+        value = float(np.polyfit(found["time"][late], found["velocity"][late, number, 0], 1)[0])
+        cases.append(
+            ValidationCase(
+                "Sliding and rolling",
+                f"incline of 30 degrees, mu = {mu:g}: acceleration, {'sliding' if slips else 'rolling'}",
+                sliding if slips else rolling,
+                "momentum balance: 5/7 g sin a, or g (sin a - mu cos a) for tan a > 7/2 mu", value, "m/s²",
+                ROLLING_ERROR, "the overlap, 0.1 % of the radius, shortens the lever arm",
+            )
+        )  # fmt: skip
+    return cases
+
+
+def bouncing_cases() -> list[ValidationCase]:
+    """Particle dropped from 0.5 m on a floor: heights of the apex after each of five bounces, H e^(2n)."""
+    solid = {"young_modulus": STIFF, "poisson_ratio": POISSON, "density": 2600.0}
+    pair, names = {"restitution": BOUNCE_RESTITUTION, "friction": 0.0}, ("ball", "floor")
+    pairs = dict.fromkeys(("ball-ball", "ball-floor"), pair)
+    groups = {"ball": group("ball", BOUNCE_RADIUS, [0.0, 0.0, DROP + BOUNCE_RADIUS], [0.0, 0.0, 0.0])}
+    speed = math.sqrt(2.0 * GRAVITY * DROP)
+    given = scene(dict.fromkeys(names, solid), pairs, groups, (0.0, 0.0, -GRAVITY), 2.4, 1.05 * speed)
+    found = states(given, np.linspace(0.0, 2.3, 240))
+    z, velocity = found["position"][:, 0, 2], found["velocity"][:, 0, 2]
+    flying = z > BOUNCE_RADIUS
+    apex = (z - BOUNCE_RADIUS + velocity**2 / (2.0 * GRAVITY))[flying]
+    bounces = np.cumsum(np.diff(apex, prepend=apex[0]) < -0.01)
+    mass = 4.0 / 3.0 * math.pi * BOUNCE_RADIUS**3 * 2600.0
+    k = theory.hertz_stiffness(STIFF / (2.0 * (1.0 - POISSON**2)), BOUNCE_RADIUS)
+    overlap = float(theory.overlap_max(k, mass, speed))
+    return [
+        ValidationCase(
+            "Bouncing particle", f"height of the apex after {n} bounces", DROP * BOUNCE_RESTITUTION ** (2 * n),
+            "hard sphere, h e^(2n); MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019",
+            float(np.mean(apex[bounces == n])) if np.any(bounces == n) else math.nan, "m", n * overlap / DROP,
+            f"each bounce may change the height by the maximum overlap, {1e3 * overlap:.2g} mm", scale=DROP,
+            remark="The reference is a hard sphere; here a contact has a finite overlap.",
+        )
+        for n in range(1, 6)
+    ]  # fmt: skip

@@ -1,0 +1,63 @@
+"""`granflow validate`: statuses, exit code, and the page of the documentation against its stored data."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from granflow.cli import main
+from granflow.studies.validation import collisions, motion, report
+from granflow.studies.validation.case import ValidationCase
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+STORED = DOCS / "validation_results.json"
+
+
+def case(value, **more):
+    """A case with the reference 2 and an allowed deviation of 1 %."""
+    return ValidationCase("kind", "name", 2.0, "source", value, "m", 0.01, "reason", **more)
+
+
+@pytest.mark.parametrize(
+    ("value", "status"),
+    [(2.0, "pass"), (2.019, "pass"), (1.981, "pass"), (2.021, "fail"), (1.979, "fail"), (float("nan"), "fail")],
+)
+def test_status_depends_on_the_allowed_deviation(value, status):
+    assert case(value).status == status
+
+
+def test_scale_replaces_the_reference():
+    assert case(2.05, scale=10.0).deviation == pytest.approx(0.005)
+    assert case(2.05, scale=10.0).status == "pass"
+
+
+@pytest.mark.parametrize(("value", "exit_code"), [(2.0, 0), (3.0, 1)])
+def test_wrong_number_fails_with_exit_code_1(tmp_path, monkeypatch, capsys, value, exit_code):
+    monkeypatch.setattr(report.write_validation, "__defaults__", ({"one": lambda: [case(value)]}, lambda text: None))
+    assert main(["validate", "--out", str(tmp_path)]) == exit_code
+    assert ("fail: kind, name: 3 instead of 2 m" in capsys.readouterr().out) == bool(exit_code)
+    status = "fail" if exit_code else "pass"
+    assert json.loads((tmp_path / "validation.json").read_text())["cases"][0]["status"] == status
+    assert f">{status}<" in (tmp_path / "validation.html").read_text()
+
+
+def test_page_of_the_documentation_equals_its_stored_data():
+    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    page = (DOCS / "pages" / "validation.md").read_text(encoding="utf-8")
+    assert page == report.rendered("validation.md.jinja", stored)
+
+
+def test_stored_cases_are_within_the_allowed_deviations():
+    cases = [ValidationCase.from_dict(each) for each in json.loads(STORED.read_text(encoding="utf-8"))["cases"]]
+    assert len(cases) > 40
+    assert not [each.name for each in cases if each.status == "fail"]
+
+
+def test_elastic_collision_and_incline_pass(taichi_f64):
+    cases = collisions.elastic_cases()[:3] + motion.incline_cases()
+    assert [each.status for each in cases] == ["pass"] * 7
+
+
+@pytest.mark.slow
+def test_all_cases_pass(taichi_f64):
+    assert not [each.name for family in report.FAMILIES.values() for each in family() if each.status == "fail"]
