@@ -5,7 +5,7 @@ from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
 
-from granflow.engine.backend import Arch, Precision, start
+from granflow.engine.backend import Arch, Backend, Precision, start
 from granflow.engine.engine import Engine
 from granflow.errors import StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
@@ -27,7 +27,7 @@ from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
-from granflow.runs.ranks import NO_CHECKPOINTS
+from granflow.runs.ranks import NO_CHECKPOINTS, refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
@@ -92,6 +92,8 @@ class Simulation:
     ) -> None:
         wall_clock = WallClock()
         refuse_other_object(scene)
+        if communicator is not None:
+            refuse_on_ranks(scene, arch, forces, resume)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
@@ -100,12 +102,8 @@ class Simulation:
         original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         plan = original if resume is None else changed_plan(original, resume)
         plan = plan_with_forces(plan, forces, backend)
-        refuse_too_many(plan)
         refuse_run_time(plan, allow_long)
-        if backend.on_cpu:
-            refuse_without_memory(plan if communicator is None else rank_plan(plan, communicator.size))
-        else:
-            refuse_without_device_memory(plan, backend.arch)
+        _refuse_size(plan, backend, communicator)
         change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
         functions = [name_of(observer) for observer in observers]
         if resume is not None:
@@ -302,3 +300,13 @@ class Simulation:
             ("files", str(self.files.path or "none")),
         ]
         return html_table(self.plan.title, rows)
+
+
+def _refuse_size(plan: Plan, backend: Backend, communicator: Communicator | None) -> None:
+    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
+    plan = plan if communicator is None else rank_plan(plan, communicator.size)
+    refuse_too_many(plan)
+    if backend.on_cpu:
+        refuse_without_memory(plan)
+    else:
+        refuse_without_device_memory(plan, backend.arch)

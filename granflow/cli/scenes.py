@@ -43,10 +43,6 @@ def run(options: argparse.Namespace) -> int:
 def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
     """Run a scene, on the ranks of the communicator if there is one. Returns and raises as `run`."""
     scene = load_runnable(options)
-    if communicator is not None:
-        from granflow.runs.ranks import refuse_on_ranks
-
-        refuse_on_ranks(scene, options.arch)
     out = options.out or Path("out") / scene.path.stem
     printed = prepare_output(out, scene, options.overwrite)
     from granflow.cli.resume import run_to_end
@@ -109,7 +105,8 @@ def check(options: argparse.Namespace) -> int:
     from granflow.runs.initial_from_run import particles_from_run
 
     plan = plan_for(scene)
-    refuse_too_many(plan)
+    if not options.mpi:  # a rank has a part of the particles only
+        refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
     warn([*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:

@@ -88,9 +88,9 @@ def _cuts(
     bounds = np.full((2, parts, 3), -np.inf)
     np.maximum.at(bounds[0], part, points)
     np.maximum.at(bounds[1], part, -points)
-    bounds = communicator.largest_of(bounds)
-    bounds = np.where(np.isfinite(bounds), bounds, 0.0)  # infinite without particles
-    high, low = bounds[0], -bounds[1]
+    largest = communicator.largest_of(bounds)
+    largest[~np.isfinite(largest)] = 0.0  # without particles
+    high, low = largest[0], -largest[1]
     axes = np.argmax(high - low, axis=1)
     rows = np.arange(parts)
     begin, end, along = low[rows, axes], high[rows, axes], points[np.arange(len(points)), axes[part]]

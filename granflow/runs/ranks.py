@@ -1,6 +1,6 @@
 """Scenes that cannot run on MPI ranks yet."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from granflow.errors import GranflowError, SceneError
 from granflow.load import Scene
@@ -15,10 +15,16 @@ NO_CHECKPOINTS = "A run with --mpi writes no checkpoints yet: it cannot be resum
 """Warning of each run on ranks."""
 
 
-def refuse_on_ranks(scene: Scene, arch: str = "cpu") -> None:
-    """Raise GranflowError for another architecture than the CPU, SceneError for parts that do not run on ranks."""
+def refuse_on_ranks(scene: Scene, arch: str = "cpu", forces: Sequence[object] = (), resume: object = None) -> None:
+    """Raise SceneError for parts of a scene that do not run on ranks.
+
+    arch:    architecture; GranflowError for another one than the CPU
+    forces:  forces from Python, resume: checkpoint; GranflowError for any
+    """
     if arch != "cpu":
         raise GranflowError(f"--arch {arch} does not work with --mpi, which runs on CPUs only: leave --arch out.")
+    if forces or resume is not None:
+        raise GranflowError("Forces from Python and resumed runs do not work on MPI ranks: run without a communicator.")
     if problems := [*rank_problems(scene)]:
         raise SceneError(problems)
 

@@ -110,8 +110,14 @@ def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
 
 
-def test_an_abort_has_the_message_of_a_run_without_mpi(tmp_path):
-    scene = small_scene(tmp_path, numerics={"max_overlap": 1e-5})
+NARROW = {"min": [-1.0, -1.0, -1e-4], "max": [1.0] * 3, "on_exit": "error"}
+
+
+@pytest.mark.parametrize(
+    "changes", [{"numerics": {"max_overlap": 1e-5}}, {"domain": NARROW, "run": {"duration": 0.02}}]
+)
+def test_an_abort_has_the_message_of_a_run_without_mpi(tmp_path, changes):
+    scene = small_scene(tmp_path, **changes)
     one = alone("-m", "granflow", "run", scene, "--out", tmp_path / "one")
     two = run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "two")
     stopped = [[line for line in each.stderr.splitlines() if "Stopped:" in line] for each in (one, two)]

@@ -19,7 +19,7 @@ REFUSED = {
     "run.precision": {"run": {"duration": 1.0, "precision": "mixed"}},
     "run.time_step": {"run": {"duration": 1.0, "time_step": "adaptive"}},
     "domain.lees_edwards": {"domain": SHEARED, "walls": {}},
-    "outlets.drain": {"outlets": {"drain": {"box": {"min": [0.5] * 3, "max": [0.7] * 3}}}},
+    "outlets.hole": {"outlets": {"hole": {"box": {"min": [0.5] * 3, "max": [0.7] * 3}}}},
     "walls.floor.motion": {"walls": {"floor": plane([0, 0, -0.5], [0, 0, 1], motion=SERVO)}},
     "output.contacts": {"output": {"interval": 1.0, "contacts": True}},
     "output.walls": {"output": {"interval": 1.0, "wall_forces": True}},
