@@ -29,7 +29,7 @@ class DeviceObject:
         """Name of the object in messages."""
         return type(self).__name__
 
-    def refuse_result(self, name: str, arguments: tuple[Any, ...], result: Any) -> None:
+    def refuse_result(self, name: str, result: Any) -> None:
         """Raise TypeError if the device function `name` returned other values than its callers expect."""
 
 
@@ -68,7 +68,7 @@ class _Taichi:
                 return compiled()(*arguments, **keywords)
             try:
                 result = compiled()(*arguments, **keywords)
-                arguments[0].refuse_result(function.__name__, arguments[1:], result)
+                arguments[0].refuse_result(function.__name__, result)
             except Exception as error:
                 name = f"The function {function.__name__} of {arguments[0].title()}"
                 text = f"{name} cannot be compiled: {reason_of(error, function)}."

@@ -95,7 +95,7 @@ class Law(DeviceObject):
         """Name in messages."""
         return f"the contact model {self.name}"
 
-    def refuse_result(self, name: str, arguments: tuple[Any, ...], result: Any) -> None:
+    def refuse_result(self, name: str, result: Any) -> None:
         """Raise TypeError if a device function returned other values than `returns`, or a history of other fields."""
         expected = self.returns.get(name)
         if expected is None:

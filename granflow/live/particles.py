@@ -17,8 +17,6 @@ from granflow.runs.run_state import RunState
 
 LARGER = 2
 """Factor by which the capacity grows if there is no space for added particles."""
-READ_ONLY = ("id", "mass", "force", "material")
-"""Properties that follow from others."""
 
 
 class LiveParticles:
@@ -48,10 +46,11 @@ class LiveParticles:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Assignment to a property writes all particles; the result of an in-place operator is already written."""
-        if not name.startswith("_") and not isinstance(getattr(type(self), name, None), property):
+        attribute = getattr(type(self), name, None)
+        if not name.startswith("_") and not isinstance(attribute, property):
             raise AttributeError(f"particles has no property {name}.")
-        if name in READ_ONLY:
-            getattr(self, name)[...] = value  # raises
+        if isinstance(attribute, property) and attribute.fset is None:
+            getattr(self, name)[...] = value  # raises: the property follows from others
         super().__setattr__(name, value)
 
     def _assign(self, name: str, value: Any) -> None:

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from granflow.load import Scene
 from granflow.plan.forecast.pressures import mean_volume
+from granflow.plan.forecast.times import nominal_times
 from granflow.plan.pair_cases import solid
-from granflow.plan.scene_parts import planned_stages
 from granflow.scene.schema.insertion import InletInsertion, RainInsertion
 from granflow.scene.schema.particles import Group
 
@@ -18,7 +18,7 @@ def insertion_warnings(scene: Scene) -> Iterator[str]:
 
     The run takes its longest duration. Space is not considered: a full region delays particles further.
     """
-    end = sum(stage.longest for stage in planned_stages(scene))
+    end = max(end for _, end in nominal_times(scene).values())
     for name, group in scene.particles.items():
         insertion = group.insert
         if not isinstance(insertion, RainInsertion | InletInsertion):

@@ -5,15 +5,16 @@ import math
 import numpy as np
 
 from granflow.contact import theory
-from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.contact.material import Solid, modulus_eff
+from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
 from granflow.studies.validation.case import ValidationCase
 
 SOLID = {"young_modulus": 1e7, "poisson_ratio": 0.3, "density": 2000.0}
-MODULUS = SOLID["young_modulus"] / (2.0 * (1.0 - SOLID["poisson_ratio"] ** 2))
+MODULUS = modulus_eff(Solid(**SOLID), Solid(**SOLID))
 """Effective modulus [Pa]."""
 RADIUS = 1e-4
 """Radius [m] of the spheres."""
-MASS = 2.0 / 3.0 * math.pi * RADIUS**3 * SOLID["density"]
+MASS = 0.5 * sphere_mass(RADIUS, SOLID["density"])
 """Effective mass [kg] of two spheres."""
 WORK = 0.05
 """Work of adhesion [J/m2]."""
@@ -119,7 +120,7 @@ def viscoelastic_cases() -> list[ValidationCase]:
     first, second = SERIES
     g_reference = (first - math.sqrt(first**2 - 4.0 * second * (1.0 - e))) / (2.0 * second)
     cases = []
-    for speed, value in zip(VISCOELASTIC_SPEEDS, np.asarray(rebound), strict=True):
+    for speed, value in zip(VISCOELASTIC_SPEEDS, rebound, strict=True):
         g = g_reference * (speed / reference_velocity) ** 0.2
         # the remainder of the series at g, and that at the reference, which shifts g in proportion
         allowed = REMAINDER * (g**2.5 + g_reference**1.5 * g)

@@ -12,12 +12,13 @@ import numpy as np
 
 from granflow import Scene, Simulation
 from granflow.contact import theory
+from granflow.contact.material import Solid, modulus_eff
+from granflow.studies.collision_bench import sphere_mass
 from granflow.studies.validation.case import ValidationCase
 
 GRAVITY = 9.81
-RADIUS, DENSITY, POISSON = 5e-4, 1e4, 0.3
-MODULUS = 1e7
-"""Young's modulus [Pa] of the sliding and rolling spheres."""
+RADIUS, SOLID = 5e-4, {"young_modulus": 1e7, "poisson_ratio": 0.3, "density": 1e4}
+"""Radius [m] and material of the sliding and rolling spheres."""
 SPEED, FRICTIONS = 0.1, (0.2, 0.5, 1.0)
 """Initial velocity [m/s] and friction of spheres that slide, then roll."""
 ANGLE, SLOPE_FRICTIONS, SLOPE_TIME = math.radians(30.0), (0.1, 0.15, 0.3, 0.6), 0.05
@@ -28,8 +29,12 @@ SETTLED = 0.5
 """Share of the duration on the incline after which the acceleration is measured."""
 ROLLING_ERROR = 2e-3
 """Allowed deviation of slip and rolling: overlap over radius, 1e-3, changes the lever arm, twice with the radius."""
-STIFF, BOUNCE_RADIUS, DROP, BOUNCE_RESTITUTION = 1e12, 0.1, 0.4, 0.9
-"""Young's modulus [Pa], radius [m], fall height [m] and restitution of the bouncing particle of the MFiX manual."""
+STIFF = {"young_modulus": 1e12, "poisson_ratio": 0.3, "density": 2600.0}
+BOUNCE_RADIUS, DROP, BOUNCE_RESTITUTION = 0.1, 0.4, 0.9
+"""Material, radius [m], fall height [m] and restitution of the bouncing particle of the MFiX manual."""
+MFIX = "MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019"
+LEVER_ARM = "the overlap, 0.1 % of the radius, shortens the lever arm"
+"""Reason of ROLLING_ERROR."""
 
 
 def motion_cases() -> list[ValidationCase]:
@@ -39,14 +44,17 @@ def motion_cases() -> list[ValidationCase]:
 
 def resting_overlap(acceleration: float) -> float:
     """Overlap [m] at which a Hertz contact with a floor of the same material balances the weight of a sphere."""
-    mass = 4.0 / 3.0 * math.pi * RADIUS**3 * DENSITY
-    k = theory.hertz_stiffness(MODULUS / (2.0 * (1.0 - POISSON**2)), RADIUS)
-    return float((mass * acceleration / k) ** (2.0 / 3.0))
+    mass = sphere_mass(RADIUS, SOLID["density"])
+    return float((mass * acceleration / floor_stiffness(SOLID, RADIUS)) ** (2.0 / 3.0))
+
+
+def floor_stiffness(solid: Mapping[str, float], radius: float) -> float:
+    """Hertz stiffness [N/m^1.5] of a sphere of this radius [m] on a floor of the same material."""
+    return float(theory.hertz_stiffness(modulus_eff(Solid(**solid), Solid(**solid)), radius))
 
 
 def spheres_on_floor(frictions: tuple[float, ...], velocity: float, gravity: tuple[float, ...], end: float) -> Scene:
     """Spheres on a floor in a row along y, one material for each friction; `gravity` [m/s2], `end` [s]."""
-    solid = {"young_modulus": MODULUS, "poisson_ratio": POISSON, "density": DENSITY}
     names, height = [f"sphere_{number}" for number in range(len(frictions))], RADIUS - resting_overlap(-gravity[2])
     of_floor = {
         f"{name}-floor": {"restitution": 0.5, "friction": mu} for name, mu in zip(names, frictions, strict=True)
@@ -58,7 +66,7 @@ def spheres_on_floor(frictions: tuple[float, ...], velocity: float, gravity: tup
         name: group(name, RADIUS, [0.0, 0.005 * number, height], [velocity, 0.0, 0.0])
         for number, name in enumerate(names)
     }
-    return scene(dict.fromkeys([*names, "floor"], solid), frictionless | of_floor, groups, gravity, end, 0.2)
+    return scene(dict.fromkeys([*names, "floor"], SOLID), frictionless | of_floor, groups, gravity, end, 0.2)
 
 
 def group(material: str, radius: float, position: list[float], velocity: list[float]) -> dict[str, Any]:
@@ -77,7 +85,7 @@ def scene(
     floor = {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "floor"}
     return Scene.from_dict({
         "title": "Validation", "gravity": list(gravity), "materials": dict(materials),
-        "pairs": {**pairs}, "particles": dict(groups), "walls": {"floor": floor},
+        "pairs": dict(pairs), "particles": dict(groups), "walls": {"floor": floor},
         "contact": {"normal": "zhou", "tangential": "mindlin", "rolling": "none"},
         "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
         "run": {"duration": end, "velocity_max": velocity_max, "precision": "f64"},
@@ -103,7 +111,6 @@ def rolling_cases() -> list[ValidationCase]:
     found = states(spheres_on_floor(FRICTIONS, SPEED, (0.0, 0.0, -GRAVITY), end), np.linspace(0.0, 0.999 * end, 400))
     velocity, rotation = found["velocity"][:, :, 0], RADIUS * found["angular_velocity"][:, :, 1]
     slip, cases = velocity - rotation, []
-    source = "MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019"
     for number, mu in enumerate(FRICTIONS):
         sliding = slip[:, number] > 0.2 * SPEED
         line = np.polyfit(found["time"][sliding], slip[sliding, number], 1)
@@ -115,8 +122,8 @@ def rolling_cases() -> list[ValidationCase]:
         ):
             cases.append(
                 ValidationCase(
-                    "Sliding and rolling", f"mu = {mu:g}: {name}", reference, source, value, "1", ROLLING_ERROR,
-                    "the overlap, 0.1 % of the radius, shortens the lever arm",
+                    "Sliding and rolling", f"mu = {mu:g}: {name}", reference, MFIX, value, "1", ROLLING_ERROR,
+                    LEVER_ARM,
                     remark="The tangential spring is not damped: the velocity oscillates; its mean is compared.",
                 )
             )  # fmt: skip
@@ -139,32 +146,30 @@ def incline_cases() -> list[ValidationCase]:
                 f"incline of 30 degrees, mu = {mu:g}: acceleration, {'sliding' if slips else 'rolling'}",
                 sliding if slips else rolling,
                 "momentum balance: 5/7 g sin a, or g (sin a - mu cos a) for tan a > 7/2 mu", value, "m/s²",
-                ROLLING_ERROR, "the overlap, 0.1 % of the radius, shortens the lever arm",
+                ROLLING_ERROR, LEVER_ARM,
             )
         )  # fmt: skip
     return cases
 
 
 def bouncing_cases() -> list[ValidationCase]:
-    """Particle dropped from 0.5 m on a floor: heights of the apex after each of five bounces, H e^(2n)."""
-    solid = {"young_modulus": STIFF, "poisson_ratio": POISSON, "density": 2600.0}
+    """Particle that falls by DROP onto a floor: heights of the apex after each of five bounces, H e^(2n)."""
     pair, names = {"restitution": BOUNCE_RESTITUTION, "friction": 0.0}, ("ball", "floor")
     pairs = dict.fromkeys(("ball-ball", "ball-floor"), pair)
     groups = {"ball": group("ball", BOUNCE_RADIUS, [0.0, 0.0, DROP + BOUNCE_RADIUS], [0.0, 0.0, 0.0])}
     speed = math.sqrt(2.0 * GRAVITY * DROP)
-    given = scene(dict.fromkeys(names, solid), pairs, groups, (0.0, 0.0, -GRAVITY), 2.4, 1.05 * speed)
+    given = scene(dict.fromkeys(names, STIFF), pairs, groups, (0.0, 0.0, -GRAVITY), 2.4, 1.05 * speed)
     found = states(given, np.linspace(0.0, 2.3, 240))
     z, velocity = found["position"][:, 0, 2], found["velocity"][:, 0, 2]
     flying = z > BOUNCE_RADIUS
     apex = (z - BOUNCE_RADIUS + velocity**2 / (2.0 * GRAVITY))[flying]
     bounces = np.cumsum(np.diff(apex, prepend=apex[0]) < -0.01)
-    mass = 4.0 / 3.0 * math.pi * BOUNCE_RADIUS**3 * 2600.0
-    k = theory.hertz_stiffness(STIFF / (2.0 * (1.0 - POISSON**2)), BOUNCE_RADIUS)
-    overlap = float(theory.overlap_max(k, mass, speed))
+    mass = sphere_mass(BOUNCE_RADIUS, STIFF["density"])
+    overlap = float(theory.overlap_max(floor_stiffness(STIFF, BOUNCE_RADIUS), mass, speed))
     return [
         ValidationCase(
             "Bouncing particle", f"height of the apex after {n} bounces", DROP * BOUNCE_RESTITUTION ** (2 * n),
-            "hard sphere, h e^(2n); MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019",
+            f"hard sphere, h e^(2n); {MFIX}",
             float(np.mean(apex[bounces == n])) if np.any(bounces == n) else math.nan, "m", n * overlap / DROP,
             f"each bounce may change the height by the maximum overlap, {1e3 * overlap:.2g} mm", scale=DROP,
             remark="The reference is a hard sphere; here a contact has a finite overlap.",
