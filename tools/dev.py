@@ -27,7 +27,7 @@ EXTRAS = {
     "run": (),
     "test": ("dev",),
     "check": ("dev",),
-    "slow": ("dev", "docs", "plot", "sweep", "cluster", "calibrate", "notebook", "mpi"),
+    "slow": ("dev", "docs", "plot", "sweep", "cluster", "calibrate", "notebook"),
     "gpu-test": ("dev", "quadrants"),
     "docs": ("docs", "plot"),
 }
