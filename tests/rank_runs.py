@@ -87,6 +87,15 @@ def wide_sizes():
     return bed(1500, {"large": large}, walls=walls)
 
 
+def in_precision(precision):
+    """The bed in another precision, in 1500 steps."""
+    duration = 1500 * TIME_STEP
+    return bed(
+        run={"duration": duration, "velocity_max": 4.0, "time_step": TIME_STEP, "precision": precision},
+        numerics={"chunk_size": 32, "max_overlap": 0.3},
+    )
+
+
 SCENES = {
     "short": bed,
     "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
@@ -97,6 +106,8 @@ SCENES = {
     "inserted": inserted,
     "periodic": periodic,
     "wide_sizes": wide_sizes,
+    "mixed": lambda: in_precision("mixed"),
+    "f32": lambda: in_precision("f32"),
 }
 
 

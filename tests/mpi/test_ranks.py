@@ -66,7 +66,7 @@ def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["dashpots", "springs", "inserted", "periodic", "wide_sizes"])
+@pytest.mark.parametrize("scene", ["dashpots", "springs", "inserted", "periodic", "wide_sizes", "mixed", "f32"])
 def test_features_have_the_same_bits_on_three_ranks(tmp_path, scene):
     assert_same_bits(state_of(tmp_path, scene), state_of(tmp_path, scene, 3))
 

@@ -16,7 +16,6 @@ SHEARED = {
     "lees_edwards": {"flow": "x", "gradient": "y", "rate": 1.0},
 }  # fmt: skip
 REFUSED = {
-    "run.precision": {"run": {"duration": 1.0, "precision": "mixed"}},
     "run.time_step": {"run": {"duration": 1.0, "time_step": "adaptive"}},
     "domain.lees_edwards": {"domain": SHEARED, "walls": {}},
     "outlets.hole": {"outlets": {"hole": {"box": {"min": [0.5] * 3, "max": [0.7] * 3}}}},
@@ -55,11 +54,11 @@ def test_a_gpu_is_refused():
 
 
 def test_check_names_the_keys(tmp_path, capsys):
-    path = scene_with(REFUSED["run.precision"] | REFUSED["output.contacts"]).save(tmp_path / "scene.yaml")
+    path = scene_with(REFUSED["run.time_step"] | REFUSED["output.contacts"]).save(tmp_path / "scene.yaml")
     assert main(["check", str(path)]) == 0
     assert main(["check", str(path), "--mpi"]) == 2
     errors = capsys.readouterr().err
-    assert "run.precision mixed does not work with --mpi: set it to f64." in errors
+    assert "run.time_step adaptive does not work with --mpi: set it to auto." in errors
     assert "output.contacts true does not work with --mpi: set it to false." in errors
     assert errors.strip().endswith("2 problems found.")
 
