@@ -160,12 +160,19 @@ def histories(engine):
     """Contact histories of all particles, ordered by the ids of owner and partner."""
     if isinstance(engine, ObservedEngine):
         return engine.histories()
-    return sorted_histories([HistoryTable(engine.state).read(copy_to_host(engine.state, ("id",))["id"])])
+    return sorted_histories([with_owners(engine.state, copy_to_host(engine.state, ("id",))["id"])])
 
 
-def sorted_histories(parts):
-    """Arrays of the histories of several ranks."""
-    owner, partner = (np.concatenate([getattr(part, name) for part in parts]) for name in ("owner", "partner"))
+def with_owners(state, ids):
+    """Ids of the owners of all contacts of a rank, and the histories."""
+    found = HistoryTable(state).read(ids, state.count)
+    return np.repeat(ids[: state.count], found.count), found
+
+
+def sorted_histories(pairs):
+    """Arrays of the histories of several ranks, each with the ids of the owners."""
+    owner, parts = np.concatenate([ids for ids, _ in pairs]), [part for _, part in pairs]
+    partner = np.concatenate([part.partner for part in parts])
     order = np.lexsort((partner, owner))
     values = {slot: np.concatenate([part.values[slot] for part in parts])[order] for slot in parts[0].values}
     return {"history.pairs": np.stack([owner, partner])[:, order], **{f"history.{k}": v for k, v in values.items()}}
@@ -177,7 +184,7 @@ class ObservedEngine(RankEngine):
     def histories(self):
         with self.communicator.commanding("histories"):
             rebuild = self.stepper._rank_rebuild
-            parts = self.communicator.to_root(HistoryTable(self.state).read(rebuild._ids))
+            parts = self.communicator.to_root(with_owners(self.state, rebuild._ids))
             sent = self.communicator.to_root(sum(Recorded.sent[1:]))
         return sorted_histories(parts) | {"migrations": np.array(sent)} if parts else {}
 

@@ -20,8 +20,9 @@ from granflow.engine.state import BATCH, LANES, State
 from granflow.parallel.communicator import Communicator, joined
 from granflow.parallel.decomposition import Decomposition, bisected
 from granflow.parallel.ghosts import GhostExchange
-from granflow.parallel.histories import Histories, HistoryTable, joined_histories
-from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
+from granflow.parallel.histories import HistoryTable
+from granflow.parallel.owned import Owned, joined_owned
+from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS, list_capacity_for
 
 IMBALANCE = 1.1
 """Largest over mean number of particles of a rank above which a rebuild decomposes space again."""
@@ -52,7 +53,7 @@ class RankRebuild:
         self.ghosts = GhostExchange(state, communicator)
         self.pending: list[Arrays] = []
         self.total_count = 0
-        self._histories = HistoryTable(state) if state.neighbors.history else None
+        self._histories = HistoryTable(state)
         self._decomposition: Decomposition | None = None
         self._ids: np.ndarray = np.zeros(0, np.int32)
         self._deleted: set[int] = set()
@@ -69,24 +70,24 @@ class RankRebuild:
         workers:  number of workers of the launch
         """
         state = self._state
-        owned = joined([saved_particle_table(state).take(np.arange(state.count)), *self.pending])
-        histories = self._histories.read(self._ids) if self._histories is not None else None
-        self.pending = []
-        self._wrap(owned)
-        owned, deleted = self._without_deleted(owned)
-        owned, histories = self._migrated(owned, histories)
-        order = self._order(owned)
-        owned = {name: values[order] for name, values in owned.items()}
-        self._place(owned, self.ghosts.select(owned), deleted)
+        owned, deleted = self._without_deleted(self._taken())
+        owned = self._migrated(owned)
+        owned = owned.of(self._order(owned.arrays))
+        self._place(owned, self.ghosts.select(owned.arrays), deleted)
         self._fill(pose, workers)
-        if histories is not None and self._histories is not None:
-            self._histories.write(histories, self._ids)
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
             find_farthest(state)
 
     def holds(self, particle: int) -> bool:
         """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
         return particle in self._ids[: self._state.count] or particle in self._deleted
+
+    def _taken(self) -> Owned:
+        """The particles of the device and the pending ones, in the periodic box."""
+        state, pending, self.pending = self._state, self.pending, []
+        arrays = joined([saved_particle_table(state).take(np.arange(state.count)), *pending])
+        self._wrap(arrays)
+        return Owned(arrays, self._histories.read(self._ids, len(arrays["id"])))
 
     def _wrap(self, owned: Arrays) -> None:
         """Move particles into the periodic box; integration has done so for all but pending ones."""
@@ -96,42 +97,32 @@ class RankRebuild:
             coordinate = owned["position"][:, axis]
             owned["position"][:, axis] = coordinate - width * np.floor((coordinate - low) / width)
 
-    def _without_deleted(self, owned: Arrays) -> tuple[Arrays, Arrays]:
+    def _without_deleted(self, owned: Owned) -> tuple[Owned, Arrays]:
         """The particles in the domain, and the others, as `engine.neighbor.deletion` decides without outlets."""
-        plan, position = self._state.plan, owned["position"]
+        plan, position = self._state.plan, owned.arrays["position"]
         expands = plan.domain.on_exit == "expand"
         checked = [axis for axis in range(3) if not expands and axis not in plan.periodic_box.axes]
         real = position.dtype
         low, high = plan.domain_low.astype(real)[checked], plan.domain_high.astype(real)[checked]
         stays = np.all((position[:, checked] >= low) & (position[:, checked] <= high), axis=1)
         stays &= ~np.isnan(position).any(axis=1)
-        deleted = {name: values[~stays] for name, values in owned.items()}
-        names = [name for name in DELETED_FIELDS if name in owned]
+        deleted = {name: values[~stays] for name, values in owned.arrays.items()}
+        names = [name for name in DELETED_FIELDS if name in deleted]
         all_deleted = joined(self._communicator.from_each({name: deleted[name] for name in names}))
         if len(all_deleted["id"]):
             self._on_deleted(all_deleted)
-        return {name: values[stays] for name, values in owned.items()}, deleted
+        return (owned if stays.all() else owned.of(np.flatnonzero(stays))), deleted
 
-    def _migrated(self, owned: Arrays, histories: Histories | None) -> tuple[Arrays, Histories | None]:
-        """The particles that this rank owns from now on, and their contact histories."""
-        communicator, position = self._communicator, owned["position"].astype(float)
+    def _migrated(self, owned: Owned) -> Owned:
+        """The particles that this rank owns from now on."""
+        communicator, position = self._communicator, owned.arrays["position"].astype(float)
         counts = np.array(communicator.from_each(len(position)))
         self.total_count = int(counts.sum())
         if self._decomposition is None or counts.max() > IMBALANCE * counts.mean():
             self._decomposition = bisected(communicator, position)
-        ranks, to_rank = range(communicator.size), self._decomposition.owners(position)
-        parts = communicator.exchanged(
-            [{name: values[to_rank == rank] for name, values in owned.items()} for rank in ranks]
-        )
-        if histories is not None:
-            by_id = np.argsort(owned["id"], kind="stable")
-            place = np.searchsorted(owned["id"][by_id], histories.owner)
-            is_present = np.isin(histories.owner, owned["id"])  # deleted particles have no contacts any more
-            of_row = np.full(len(place), UNUSED)
-            of_row[is_present] = to_rank[by_id[place[is_present]]]
-            sent = [histories.selected(of_row == rank) for rank in ranks]
-            histories = joined_histories(communicator.exchanged(sent))
-        return joined(parts), histories
+        to_rank = self._decomposition.owners(position)
+        parts = [owned.of(np.flatnonzero(to_rank == rank)) for rank in range(communicator.size)]
+        return joined_owned(communicator.exchanged(parts))
 
     def _order(self, owned: Arrays) -> np.ndarray:
         """Order of the particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact."""
@@ -143,29 +134,36 @@ class RankRebuild:
         keys = (owned["id"], *inside.T, *block.T)
         return np.lexsort(keys)
 
-    def _place(self, owned: Arrays, ghosts: Arrays, deleted: Arrays) -> None:
-        """Write owned particles and ghosts to the device; entries between them repeat the last owned particle.
+    def _place(self, owned: Owned, ghosts: Arrays, deleted: Arrays) -> None:
+        """Write owned particles, their histories and ghosts to the device.
 
-        Deleted particles are behind them, for the diagnosis of an abort.
+        Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are behind the
+        ghosts, for the diagnosis of an abort.
         """
-        state, count = self._state, len(owned["id"])
+        state, count = self._state, len(owned.arrays["id"])
         first = -(-count // state.plan.chunk_size) * state.plan.chunk_size
         end = first + len(ghosts["id"])
-        self._grow_particles(end + len(deleted["id"]))
+        self._grow_arrays(end + len(deleted["id"]), len(owned.histories.partner))
         state.count, self.ghosts.first = count, first
         state.cell_sort.owned_count[0], state.cell_sort.ghost_first[0] = count, first
         gap = np.full(first - count, count - 1)
-        between = {name: values[gap] for name, values in owned.items()}
+        between = {name: values[gap] for name, values in owned.arrays.items()}
         between["id"] = np.full(len(gap), UNUSED, np.int32)
-        arrays = joined([owned, between, ghosts, deleted])
+        arrays = joined([owned.arrays, between, ghosts, deleted])
         saved_particle_table(state).put(np.arange(len(arrays["id"])), arrays)
+        self._histories.write(owned.histories)
         self._ids, self._deleted = arrays["id"][:end], set(deleted["id"].tolist())
 
-    def _grow_particles(self, needed: int) -> None:
-        """Increase the capacity of all ranks if one of them needs more than it has."""
-        most = int(self._communicator.largest_of(np.array([needed]))[0])
-        if most > self._state.plan.capacities.particles:
-            self._grow(int(GROWTH_FACTOR * most), 0, 0)
+    def _grow_arrays(self, particles: int, histories: int) -> None:
+        """Increase the capacities of all ranks if one of them has more particles or histories than fit."""
+        capacities = self._state.capacities
+        per_chunk = -(-histories // capacities.chunk_count)
+        particles, per_chunk = self._communicator.largest_of(np.array([particles, per_chunk])).tolist()
+        more_particles = particles > self._state.plan.capacities.particles
+        more_histories = per_chunk > capacities.saved_entries_per_chunk
+        if more_particles or more_histories:
+            entries = list_capacity_for(per_chunk) if more_histories else 0
+            self._grow(int(GROWTH_FACTOR * particles) if more_particles else 0, entries, 0)
 
     def _fill(self, pose: int, workers: int) -> None:
         """Fill the neighbor lists; again after they have grown on all ranks, if one of them is too short."""

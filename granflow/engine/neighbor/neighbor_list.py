@@ -16,7 +16,7 @@ from granflow.engine.neighbor.cells import (
     cells_within,
     wrapped_cell,
 )
-from granflow.engine.neighbor.history_transfer import build_clear_history, build_restore_history
+from granflow.engine.neighbor.history_transfer import build_restore_history
 from granflow.engine.neighbor.phases import Phase
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
@@ -115,8 +115,7 @@ class NeighborListFill:
         self.domain_low, self.domain_high, self.force_range = (
             state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
         )
-        restore = build_clear_history if plan.has_ghosts else build_restore_history
-        self.restore_history: Any = restore(state) if state.neighbors.history else None
+        self.restore_history: Any = build_restore_history(state) if state.neighbors.history else None
         self.minimum_image, self.shift_by_images = build_minimum_image(state), build_shift_by_images(state)
         self.image_index = build_image_index(state)
 
