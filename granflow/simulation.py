@@ -7,7 +7,7 @@ from types import TracebackType
 
 from granflow.engine.backend import Arch, Backend, Precision, start
 from granflow.engine.engine import Engine
-from granflow.errors import StopRun
+from granflow.errors import GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
 from granflow.live.forces import Forces, ParticleForce, plan_with_forces
 from granflow.live.particles import LiveParticles
@@ -25,6 +25,7 @@ from granflow.plan.ranks import rank_plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
+from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
 from granflow.runs.ranks import NO_CHECKPOINTS, refuse_on_ranks
@@ -117,6 +118,7 @@ class Simulation:
         own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
         self.observers = ObserverList(own_observers, observers)
         engine = Engine(plan, backend) if communicator is None else RankEngine(plan, backend, communicator)
+        self.is_stopped = False
         self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
         self._loop, self._in_block = TimeLoop(self._state, self.files), False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
@@ -184,6 +186,7 @@ class Simulation:
                   last two, a checkpoint is written if possible
         """
         end = self._end(until, duration)
+        self.is_stopped = False
         with self._session.running():
             self._advance(end, within_stages)
             result = self._result()
@@ -194,14 +197,19 @@ class Simulation:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
         if count < 0 or count != int(count):
             raise ValueError(f"count is {count}, but must be a whole number of at least 0.")
-        wanted, goes_on = self.engine.step_count + count, True
+        wanted, goes_on, self.is_stopped = self.engine.step_count + count, True, False
         with self._session.running():
             while goes_on and (remaining := wanted - self.engine.step_count) > 0:
                 steps = remaining if self.plan.adaptive_time_step is None else 1
                 goes_on = self._advance(self.time + steps * self.time_step)
 
     def save(self) -> None:
-        """Write a checkpoint of the present time, from which the run can be resumed. Raises the exceptions of `run`."""
+        """Write a checkpoint of the present time, from which the run can be resumed.
+
+        Raises GranflowError without an output directory, and the exceptions of `run`.
+        """
+        if self.files.path is None:
+            raise GranflowError("save needs an output directory: give out to Simulation.")
         with self._session.running():
             self._loop.save()
 
@@ -233,7 +241,12 @@ class Simulation:
         self.engine.restart(particles, time_step)
 
     def request_stop(self, error: BaseException) -> None:
-        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
+        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers.
+
+        Raises TypeError if `error` is not an exception.
+        """
+        if not isinstance(error, BaseException):
+            raise TypeError(f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}.")
         self._loop.stop_requested = error
         self.engine.stepper.interrupted = True
 
@@ -252,6 +265,8 @@ class Simulation:
         if duration is not None:
             end = self.time + duration
         given = "until" if duration is None else "duration"
+        if until is not None and until < self.time - self.time_step:
+            raise ValueError(f"until is {until:g} s, but the simulation is at {self.time:g} s.")
         if (until is not None or duration is not None) and not isfinite(end):
             raise ValueError(f"{given} is {until if duration is None else duration} s, but must be finite.")
         if duration is not None and duration < 0.0:
@@ -261,10 +276,11 @@ class Simulation:
     def _advance(self, end: float, within_stages: bool = False) -> bool:
         """Advance to `end` [s]; return False if an observer ends the run before."""
         try:
-            self._loop.run(end, within_stages)
+            with stopping_on_interrupt(self.request_stop):
+                self._loop.run(end, within_stages)
         except StopRun:
-            return False
-        return True
+            self.is_stopped = True
+        return not self.is_stopped
 
     def _last_result(self) -> Result:
         """Numbers of the run at its end, which is logged."""
