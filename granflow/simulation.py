@@ -1,6 +1,7 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
@@ -52,8 +53,7 @@ class Simulation:
     arch:           architecture, "cpu" by default
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
-    out:            directory for the files of the scene's output block; without it no files are written. A new run
-                    replaces an earlier one in the directory after its first frame
+    out:            directory for the files of the scene's output block; without it no files are written
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
     particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted.
@@ -64,11 +64,13 @@ class Simulation:
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
     forces:         forces on particles from device functions
+    overwrite:      replace an earlier run in `out` after the first frame of the new one
     communicator:   distributes the particles over MPI ranks; this process is the root, and no checkpoint is written
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
-                    resumed, or `particles` does not match the groups of the scene
+                    resumed, `out` contains an earlier run, or `particles` does not match the groups of the scene
 
     `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
+    `is_stopped`: whether an observer has ended the last `run` or `step` with StopRun.
     `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
     All simulations in one process must have the same architecture, precision and threads.
@@ -90,6 +92,7 @@ class Simulation:
         plan: Plan | None = None,
         forces: Sequence[ParticleForce] = (),
         communicator: Communicator | None = None,
+        overwrite: bool = False,
     ) -> None:
         wall_clock = WallClock()
         refuse_other_object(scene)
@@ -99,28 +102,27 @@ class Simulation:
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
-        self.files = RunDirectory(None if out is None else Path(out), scene, resume, checkpoints=communicator is None)
+        self.files = RunDirectory(
+            None if out is None else Path(out), scene, resume, overwrite, checkpoints=communicator is None
+        )
         original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         plan = original if resume is None else changed_plan(original, resume)
         plan = plan_with_forces(plan, forces, backend)
         refuse_run_time(plan, allow_long)
         _refuse_size(plan, backend, communicator)
         change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
-        functions = [name_of(observer) for observer in observers]
         if resume is not None:
-            refuse_other_functions(resume, plan.external_forces, functions, allow_changes)
+            refuse_other_functions(resume, plan.external_forces, [*map(name_of, observers)], allow_changes)
         initial, earlier = initial_state(scene, plan, particles, resume)
         self.warnings = warnings_before(scene, plan, initial)
         if communicator is not None:
             self.warnings.append(NO_CHECKPOINTS)
         insertion = ParticleInsertion(scene, earlier)
         self.files.create()
-        own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
-        self.observers = ObserverList(own_observers, observers)
+        self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)
         engine = Engine(plan, backend) if communicator is None else RankEngine(plan, backend, communicator)
-        self.is_stopped = False
         self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
-        self._loop, self._in_block = TimeLoop(self._state, self.files), False
+        self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if initial is not None:
             engine.insert(initial)
@@ -294,7 +296,9 @@ class Simulation:
         totals = self.engine.observe(self.stage, frozenset({TOTALS})).totals
         readings = {**self.observers.readings(), "insertion": self._state.insertion.results()}
         result = collect_result(self.engine, self._state.wall_clock, totals, readings)
-        return result.with_expectations(self.plan.expectations) if self._loop.stages_ended else result
+        if not self._loop.stages_ended:
+            return replace(result, is_complete=False)
+        return result.with_expectations(self.plan.expectations)
 
     def __repr__(self) -> str:
         """One line: title, simulated time [s], steps, stage."""

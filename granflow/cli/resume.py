@@ -68,7 +68,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        allow_changes=options.allow_changes, allow_long=options.allow_long,
+        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True,
     )  # fmt: skip
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(

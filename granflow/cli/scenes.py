@@ -52,7 +52,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
 
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
-        communicator=communicator,
+        communicator=communicator, overwrite=options.overwrite,
     )  # fmt: skip
     simulation.warnings += restitution_warnings(scene, simulation.plan)
     with locked(out):

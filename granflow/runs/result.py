@@ -50,6 +50,8 @@ class Result:
     expectations: tuple[ExpectationResult, ...] = ()
     warnings: tuple[str, ...] = ()
     """All warnings of the run, each once."""
+    is_complete: bool = True
+    """Whether the last stage has ended."""
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
@@ -92,11 +94,12 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, expect and warnings, both lists of
-    sentences.
+    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters, wall_forces, metrics,
+    insertion, expect and warnings, both lists of sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
+        "complete": result.is_complete,
         "run": _finite(result.run),
         "timings": _finite(result.timings),
         "totals": _finite(result.totals),
@@ -139,6 +142,7 @@ def result_of(sections: Mapping[str, Any]) -> Result:
         insertion=parts("insertion"),
         expectations=tuple(ExpectationResult(each["sentence"], each["met"]) for each in sections.get("expect", ())),
         warnings=tuple(sections.get("warnings", ())),
+        is_complete=bool(sections.get("complete", True)),
     )
 
 

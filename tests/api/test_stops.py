@@ -147,3 +147,23 @@ def test_dictionary_of_a_scene_gives_an_equal_one():
 def test_problems_of_data_do_not_repeat_the_key():
     assert gf.SceneError("run.time_step: run.time_step is 1 s.").problems == ("run.time_step is 1 s.",)
     assert gf.SceneError("a.yaml:3:1: run.duration is 0.").problems == ("a.yaml:3:1: run.duration is 0.",)
+
+
+def test_an_earlier_run_is_replaced_only_on_request(taichi_f64, tmp_path):
+    gf.Simulation(scene(), out=tmp_path).run()
+    before = (tmp_path / "timeseries.csv").read_bytes()
+    with pytest.raises(gf.GranflowError, match="contains an earlier run: give another directory, replace the run with"):
+        gf.Simulation(scene(), out=tmp_path)
+    assert (tmp_path / "timeseries.csv").read_bytes() == before
+    with gf.Simulation(scene(), out=tmp_path, overwrite=True) as simulation:
+        simulation.run(until=0.001)
+    assert gf.read_run(tmp_path).time < 0.0011
+
+
+def test_a_run_that_is_closed_early_is_unfinished(taichi_f64, tmp_path):
+    with gf.Simulation(scene(), out=tmp_path) as simulation:
+        simulation.run(until=0.001)
+    assert gf.read_run(tmp_path).status == "unfinished"
+    with gf.Simulation(scene(), out=tmp_path, resume=tmp_path) as simulation:
+        simulation.run()
+    assert gf.read_run(tmp_path).status == "complete"
