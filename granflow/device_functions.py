@@ -20,6 +20,10 @@ _POSITION = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>\d+), in \w+:\n.*
 """Position in the message of a failed compilation, followed by the line of source."""
 
 
+_UNDEFINED = re.compile(r'Name "\w+" is not defined')
+"""A name in a device function that is no argument, local variable or global one."""
+
+
 class DeviceObject:
     """Base class of objects whose attributes device functions read; Taichi passes them unchanged."""
 
@@ -100,8 +104,9 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     if rest.startswith("Traceback"):
         rest = rest.splitlines()[-1]
     rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
-    words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split())
-    return f"{where}{words.rstrip('. ') or type(error).__name__}"
+    words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
+    remedy = "; give numbers of the program in `parameters`" if _UNDEFINED.search(words) else ""
+    return f"{where}{words or type(error).__name__}{remedy}"
 
 
 def _is_library(file: str) -> bool:

@@ -27,8 +27,15 @@ class FileError(GranflowError):
     """
 
     def __init__(self, problems: Iterable[str] | str) -> None:
-        self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
+        given = (problems,) if isinstance(problems, str) else problems
+        self.problems: tuple[str, ...] = tuple(_without_repetition(each) for each in given)
         super().__init__("\n".join(self.problems))
+
+
+def _without_repetition(problem: str) -> str:
+    """A problem of data without a file, whose position is the key with which the sentence may begin."""
+    key, _, sentence = problem.partition(": ")
+    return sentence if sentence.startswith(f"{key} ") else problem
 
 
 class SceneError(FileError):

@@ -1,13 +1,14 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
 
-from granflow.engine.backend import Arch, Precision, start
+from granflow.engine.backend import Arch, Backend, Precision, start
 from granflow.engine.engine import Engine
-from granflow.errors import StopRun
+from granflow.errors import GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
 from granflow.live.forces import Forces, ParticleForce, plan_with_forces
 from granflow.live.particles import LiveParticles
@@ -15,15 +16,20 @@ from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
+from granflow.parallel.communicator import Communicator
+from granflow.parallel.rank_engine import RankEngine
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.build import plan_for
 from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
+from granflow.plan.ranks import rank_plan
 from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
+from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
+from granflow.runs.ranks import NO_CHECKPOINTS, refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
@@ -47,8 +53,7 @@ class Simulation:
     arch:           architecture, "cpu" by default
     precision:      overrides that of the scene
     threads:        CPU threads; None: all available
-    out:            directory for the files of the scene's output block; without it no files are written. A new run
-                    replaces an earlier one in the directory after its first frame
+    out:            directory for the files of the scene's output block; without it no files are written
     observers:      additional observers, such as `granflow.on_interval(interval, function)`
     progress:       display the progress
     particles:      particles at the start, instead of those of the scene; groups of these particles are not inserted.
@@ -59,10 +64,13 @@ class Simulation:
     allow_long:     accept a run with an estimated duration of more than a year
     plan:           replaces the plan of the scene
     forces:         forces on particles from device functions
+    overwrite:      replace an earlier run in `out` after the first frame of the new one
+    communicator:   distributes the particles over MPI ranks; this process is the root, and no checkpoint is written
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
-                    resumed, or `particles` does not match the groups of the scene
+                    resumed, `out` contains an earlier run, or `particles` does not match the groups of the scene
 
     `warnings`: sentences on the scene before the run, which `run` logs with those during the run.
+    `is_stopped`: whether an observer has ended the last `run` or `step` with StopRun.
     `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
     All simulations in one process must have the same architecture, precision and threads.
@@ -83,36 +91,38 @@ class Simulation:
         allow_long: bool = False,
         plan: Plan | None = None,
         forces: Sequence[ParticleForce] = (),
+        communicator: Communicator | None = None,
+        overwrite: bool = False,
     ) -> None:
         wall_clock = WallClock()
         refuse_other_object(scene)
+        if communicator is not None:
+            refuse_on_ranks(scene, arch, forces, resume)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
-        self.files = RunDirectory(None if out is None else Path(out), scene, resume)
+        self.files = RunDirectory(
+            None if out is None else Path(out), scene, resume, overwrite, checkpoints=communicator is None
+        )
         original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         plan = original if resume is None else changed_plan(original, resume)
         plan = plan_with_forces(plan, forces, backend)
-        refuse_too_many(plan)
         refuse_run_time(plan, allow_long)
-        if backend.on_cpu:
-            refuse_without_memory(plan)
-        else:
-            refuse_without_device_memory(plan, backend.arch)
+        _refuse_size(plan, backend, communicator)
         change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
-        functions = [name_of(observer) for observer in observers]
         if resume is not None:
-            refuse_other_functions(resume, plan.external_forces, functions, allow_changes)
+            refuse_other_functions(resume, plan.external_forces, [*map(name_of, observers)], allow_changes)
         initial, earlier = initial_state(scene, plan, particles, resume)
         self.warnings = warnings_before(scene, plan, initial)
+        if communicator is not None:
+            self.warnings.append(NO_CHECKPOINTS)
         insertion = ParticleInsertion(scene, earlier)
         self.files.create()
-        own_observers = observers_for(plan, self.files.path, progress, self.files.writer)
-        self.observers = ObserverList(own_observers, observers)
-        engine = Engine(plan, backend)
+        self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)
+        engine = Engine(plan, backend) if communicator is None else RankEngine(plan, backend, communicator)
         self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
-        self._loop, self._in_block = TimeLoop(self._state, self.files), False
+        self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if initial is not None:
             engine.insert(initial)
@@ -178,6 +188,7 @@ class Simulation:
                   last two, a checkpoint is written if possible
         """
         end = self._end(until, duration)
+        self.is_stopped = False
         with self._session.running():
             self._advance(end, within_stages)
             result = self._result()
@@ -188,14 +199,19 @@ class Simulation:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
         if count < 0 or count != int(count):
             raise ValueError(f"count is {count}, but must be a whole number of at least 0.")
-        wanted, goes_on = self.engine.step_count + count, True
+        wanted, goes_on, self.is_stopped = self.engine.step_count + count, True, False
         with self._session.running():
             while goes_on and (remaining := wanted - self.engine.step_count) > 0:
                 steps = remaining if self.plan.adaptive_time_step is None else 1
                 goes_on = self._advance(self.time + steps * self.time_step)
 
     def save(self) -> None:
-        """Write a checkpoint of the present time, from which the run can be resumed. Raises the exceptions of `run`."""
+        """Write a checkpoint of the present time, from which the run can be resumed.
+
+        Raises GranflowError without an output directory, and the exceptions of `run`.
+        """
+        if self.files.path is None:
+            raise GranflowError("save needs an output directory: give out to Simulation.")
         with self._session.running():
             self._loop.save()
 
@@ -227,7 +243,12 @@ class Simulation:
         self.engine.restart(particles, time_step)
 
     def request_stop(self, error: BaseException) -> None:
-        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers."""
+        """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers.
+
+        Raises TypeError if `error` is not an exception.
+        """
+        if not isinstance(error, BaseException):
+            raise TypeError(f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}.")
         self._loop.stop_requested = error
         self.engine.stepper.interrupted = True
 
@@ -246,6 +267,8 @@ class Simulation:
         if duration is not None:
             end = self.time + duration
         given = "until" if duration is None else "duration"
+        if until is not None and until < self.time - self.time_step:
+            raise ValueError(f"until is {until:g} s, but the simulation is at {self.time:g} s.")
         if (until is not None or duration is not None) and not isfinite(end):
             raise ValueError(f"{given} is {until if duration is None else duration} s, but must be finite.")
         if duration is not None and duration < 0.0:
@@ -255,10 +278,11 @@ class Simulation:
     def _advance(self, end: float, within_stages: bool = False) -> bool:
         """Advance to `end` [s]; return False if an observer ends the run before."""
         try:
-            self._loop.run(end, within_stages)
+            with stopping_on_interrupt(self.request_stop):
+                self._loop.run(end, within_stages)
         except StopRun:
-            return False
-        return True
+            self.is_stopped = True
+        return not self.is_stopped
 
     def _last_result(self) -> Result:
         """Numbers of the run at its end, which is logged."""
@@ -272,7 +296,9 @@ class Simulation:
         totals = self.engine.observe(self.stage, frozenset({TOTALS})).totals
         readings = {**self.observers.readings(), "insertion": self._state.insertion.results()}
         result = collect_result(self.engine, self._state.wall_clock, totals, readings)
-        return result.with_expectations(self.plan.expectations) if self._loop.stages_ended else result
+        if not self._loop.stages_ended:
+            return replace(result, is_complete=False)
+        return result.with_expectations(self.plan.expectations)
 
     def __repr__(self) -> str:
         """One line: title, simulated time [s], steps, stage."""
@@ -294,3 +320,13 @@ class Simulation:
             ("files", str(self.files.path or "none")),
         ]
         return html_table(self.plan.title, rows)
+
+
+def _refuse_size(plan: Plan, backend: Backend, communicator: Communicator | None) -> None:
+    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
+    plan = plan if communicator is None else rank_plan(plan, communicator.size)
+    refuse_too_many(plan)
+    if backend.on_cpu:
+        refuse_without_memory(plan)
+    else:
+        refuse_without_device_memory(plan, backend.arch)

@@ -25,6 +25,7 @@ LAYERS = (
     "load",
     "plan",
     "engine",
+    "parallel",
     "observers",
     "runs",
     "live",

@@ -49,7 +49,9 @@ def resume(options: argparse.Namespace) -> int:
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
     from granflow.io.lock import locked
+    from granflow.parallel.launch import refuse_without_mpi_flag
 
+    refuse_without_mpi_flag()
     with locked(out):
         return _resume(options, out)
 
@@ -66,7 +68,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        allow_changes=options.allow_changes, allow_long=options.allow_long,
+        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True,
     )  # fmt: skip
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(

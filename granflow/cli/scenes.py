@@ -22,14 +22,26 @@ from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
     from granflow.load import Scene
+    from granflow.parallel.communicator import Communicator
 
 
 def run(options: argparse.Namespace) -> int:
     """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations.
 
     Returns the exit code of `run_to_end`. Raises SceneError for a group without particles, and GranflowError if the
-    directory contains an earlier run, unless --overwrite is given.
+    directory contains an earlier run, unless --overwrite is given, or if the launch does not match --mpi.
     """
+    from granflow.cli.ranks import on_ranks
+    from granflow.parallel.launch import refuse_without_mpi_flag
+
+    if options.mpi:
+        return on_ranks(options, lambda communicator: run_scene(options, communicator))
+    refuse_without_mpi_flag()
+    return run_scene(options)
+
+
+def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
+    """Run a scene, on the ranks of the communicator if there is one. Returns and raises as `run`."""
     scene = load_runnable(options)
     out = options.out or Path("out") / scene.path.stem
     printed = prepare_output(out, scene, options.overwrite)
@@ -39,8 +51,9 @@ def run(options: argparse.Namespace) -> int:
     from granflow.studies.restitution import warnings as restitution_warnings
 
     simulation = Simulation(
-        scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long
-    )
+        scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
+        communicator=communicator, overwrite=options.overwrite,
+    )  # fmt: skip
     simulation.warnings += restitution_warnings(scene, simulation.plan)
     with locked(out):
         # another process may have used the directory in the meantime
@@ -79,6 +92,10 @@ def check(options: argparse.Namespace) -> int:
     their packing is not checked.
     """
     scene = load(options)
+    if options.mpi:
+        from granflow.runs.ranks import refuse_on_ranks
+
+        refuse_on_ranks(scene)
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
@@ -88,7 +105,8 @@ def check(options: argparse.Namespace) -> int:
     from granflow.runs.initial_from_run import particles_from_run
 
     plan = plan_for(scene)
-    refuse_too_many(plan)
+    if not options.mpi:  # a rank has a part of the particles only
+        refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
     warn([*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])])
     for note in plan.mesh_notes:
@@ -124,7 +142,9 @@ def cache(options: argparse.Namespace) -> int:
 
 def add_check(verbs: Any) -> None:
     """Add `granflow check` and its arguments."""
-    add_allow_long(add_scene_verb(verbs, check, "report all errors of a scene without running it"))
+    parser = add_scene_verb(verbs, check, "report all errors of a scene without running it")
+    add_allow_long(parser)
+    parser.add_argument("--mpi", action="store_true", help="also report what does not work with run --mpi")
 
 
 def add_run(verbs: Any) -> None:
@@ -140,6 +160,9 @@ def add_run(verbs: Any) -> None:
         "--overwrite",
         action="store_true",
         help="replace an earlier run in the same directory after the first frame of the new run",
+    )
+    parser.add_argument(
+        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs granflow[mpi]"
     )
     add_machine(parser)
 

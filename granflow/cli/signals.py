@@ -55,6 +55,12 @@ class StopSignals:
         for each, handler in self._before.items():
             signal.signal(each, handler)
 
+    def ignore(self) -> None:
+        """Ignore the signals from now on."""
+        for each in self._before:
+            signal.signal(each, signal.SIG_IGN)
+        self._before = {}
+
     @contextmanager
     def default_action(self) -> Iterator[None]:
         """Let signals end the process without Python; a stop that other code has suppressed is raised again.
@@ -124,6 +130,12 @@ def stop_signals() -> Iterator[None]:
     finally:
         signals.restore()
         compilation.around, _current = around, None
+
+
+def ignore_stops() -> None:
+    """Ignore stop signals on a rank that is not the root: mpirun sends them to the root, too, which stops all ranks."""
+    if _current is not None:
+        _current.ignore()
 
 
 @contextmanager

@@ -11,7 +11,8 @@ class Amount:
 
     description:  meaning, for the schema and the documentation
     example:      value with unit, for messages
-    dimension:    dimension as in `scene.units`, "number" if dimensionless
+    dimension:    "number" if dimensionless (the default), "length", "velocity", "stiffness", ...: the keys of
+                  `granflow.scene.schema.units.DIMENSIONS`, which a wrong one lists
     noun:         noun with article, for messages
     limits:       `above`, `at_least`, `at_most`, in SI units; None: no limit
     default:      value if the option is omitted

@@ -190,7 +190,11 @@ def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads
     same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
     if same_arch and precision == running.precision and threads in (None, running.threads):
         return
-    raise GranflowError(
-        f"Taichi already runs in this process on {running.arch} with {running.precision}; "
-        f"start {arch} with {precision} in a separate process."
+    before, now = (
+        f"{each_arch} with {each_precision} and {'all' if count is None else count} threads"
+        for each_arch, each_precision, count in (
+            (running.arch, running.precision, running.threads),
+            (arch, precision, threads),
+        )
     )
+    raise GranflowError(f"Taichi already runs in this process on {before}; start {now} in a separate process.")

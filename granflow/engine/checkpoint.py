@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.engine import Engine
-from granflow.engine.host_copy import FieldTable, saved_particle_table
+from granflow.engine.host_copy import FieldTable, consecutive, saved_particle_table
 from granflow.engine.state import State
 from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion
@@ -117,7 +117,7 @@ class EngineCheckpoint:
         state = self.engine.state
         lists = state.built(_list_table).take(np.arange(state.count))
         length = lists["end"] - lists["begin"]
-        entries = state.built(_entry_table).take(_consecutive(lists["begin"], length))
+        entries = state.built(_entry_table).take(consecutive(lists["begin"], length))
         return {"list_length": length, "list_walls": lists["middle"] - lists["begin"], **entries}
 
     def _load_neighbor_lists(self, saved: dict[str, np.ndarray]) -> None:
@@ -133,7 +133,7 @@ class EngineCheckpoint:
         begin = chunk * state.capacities.list_entries_per_chunk + np.cumsum(length) - length - before_chunk[chunk]
         lists = {"begin": begin, "middle": begin + saved["list_walls"], "end": begin + length}
         state.built(_list_table).put(np.arange(state.count), lists)
-        state.built(_entry_table).put(_consecutive(begin, length), saved)
+        state.built(_entry_table).put(consecutive(begin, length), saved)
 
 
 def _list_table(state: State) -> FieldTable:
@@ -146,16 +146,6 @@ def _entry_table(state: State) -> FieldTable:
     """Table of the list entries: partner, state and history."""
     neighbors = state.neighbors
     return FieldTable({"partner": neighbors.partner, "in_contact": neighbors.in_contact, **neighbors.history})
-
-
-def _consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Numbers begin, begin + 1, ... of each list, one list after the other.
-
-    begin, length:  (n,)
-    Returns:        (sum of the lengths,)
-    """
-    before = np.cumsum(length) - length
-    return np.repeat(begin - before, length) + np.arange(int(length.sum()))
 
 
 def _named(saved: Mapping[str, np.ndarray], names: Sequence[str] | Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -38,6 +38,9 @@ from granflow.snapshot import Snapshot
 TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
 
+DELETED_FIELDS = ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed")
+"""Fields of deleted particles that their accounting needs."""
+
 MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque")
 """Fields that determine the mechanical energy at the time of the positions."""
 
@@ -54,7 +57,7 @@ class Engine:
         self.state: State = take_state(plan, backend)
         self._return_state = weakref.finalize(self, return_state, self.state)
         self._return_state.atexit = False
-        self.stepper = Stepper(self.state, self._on_deleted)
+        self.stepper = self._new_stepper()
         self.timing = self.stepper.timing
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in plan.outlets})
         self.stability_monitor = StabilityMonitor(plan)
@@ -64,6 +67,10 @@ class Engine:
         self._started = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
+
+    def _new_stepper(self) -> Stepper:
+        """The stepper of the state."""
+        return Stepper(self.state, self._on_deleted)
 
     @property
     def time(self) -> float:
@@ -79,6 +86,11 @@ class Engine:
     def time_step(self) -> float:
         """Present time step [s]."""
         return self.state.clock.time_step
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles, of all ranks."""
+        return self.state.count
 
     @property
     def mean_time_step(self) -> float:
@@ -136,7 +148,11 @@ class Engine:
         if self._started:
             velocity_gain = 0.5 * self.time_step * self._gravity
             arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
-        append_particles(self.state, arrays | {"velocity_synchronized": arrays["velocity"]})
+        self._append(arrays | {"velocity_synchronized": arrays["velocity"]})
+
+    def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Append particles on the device, see `append_particles`."""
+        append_particles(self.state, arrays)
 
     def restart(self, new: ParticleData, time_step: float | None = None) -> None:
         """Replace all particles, with initial forces and without contact history; also after an abort.
@@ -310,7 +326,7 @@ class Engine:
     def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
         poses = wall_poses(self.state) if "walls" in quantities else {}
         if quantities <= {"walls"}:
-            count = {"particle_count": float(self.state.count)}
+            count = {"particle_count": float(self.particle_count)}
             return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
         pose = self.stepper.place_walls(self.step_count)
         measured = self.state.built(ContactStatistics).measure(pose)
@@ -341,9 +357,11 @@ class Engine:
 
         With `on_exit: error`, sets the abort code if one of them left the domain.
         """
-        names = ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed")
-        arrays = copy_to_host(self.state, names, first, last)
-        arrays = {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
+        arrays = copy_to_host(self.state, DELETED_FIELDS, first, last)
+        self._account_deleted({name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()})
+
+    def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Add deleted particles with the fields DELETED_FIELDS to the accounting; abort as `_on_deleted` states."""
         outlet_index = self._outlets_of(arrays["position"].astype(float))
         left_domain = outlet_index < 0
         if self.plan.domain.on_exit == "error" and left_domain.any():
@@ -360,7 +378,7 @@ class Engine:
 
     def copied(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, as they are on the device."""
-        return copy_to_host(self.state, names)
+        return self.state.ranks.gathered(copy_to_host(self.state, names))
 
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, with velocities and angular velocities at the time of the positions.
@@ -372,7 +390,7 @@ class Engine:
 
         Before the first step they are the initial values: a run that aborts there has not shifted them.
         """
-        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, "fixed"))))
+        arrays = self.copied(tuple(dict.fromkeys((*names, "fixed"))))
         if not self._started:
             return arrays
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]

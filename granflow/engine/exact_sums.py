@@ -53,8 +53,9 @@ def build_to_grid(real: Any) -> Any:
 
         (f + s) - s,   s = 3/2 unit / eps        with the rounding eps of the type
 
-    In f64, forces are below s / 3 (see `engine.force.set_forces`). In f32, a force above s is a multiple of the unit
-    anyway; sums are in f64 there, too.
+    f + s and f - s have the same spacing as long as |f| < s / 3. In f64, forces are below s / 3 (see
+    `engine.force.set_forces`). In f32, a larger force is a multiple of half a unit anyway and remains as it is; sums
+    are in f64 there, too.
 
     real:  type of the argument
     """
@@ -63,7 +64,7 @@ def build_to_grid(real: Any) -> Any:
     def to_grid(value, shift):
         rounded = (value + shift) - shift
         if ti.static(real == ti.f32):
-            rounded = ti.select(ti.abs(value) < shift, rounded, value)
+            rounded = ti.select(3.0 * ti.abs(value) < shift, rounded, value)
         return rounded
 
     return to_grid

@@ -116,6 +116,16 @@ def _build_take_and_put(
     return take, put
 
 
+def consecutive(begin: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Numbers begin, begin + 1, ... of each list, one list after the other.
+
+    begin, length:  (n,)
+    Returns:        (sum of the lengths,)
+    """
+    before = np.cumsum(length) - length
+    return np.repeat(begin - before, length) + np.arange(int(length.sum()))
+
+
 def particle_table(state: State, names: tuple[str, ...]) -> FieldTable:
     """Table of these particle fields; those that the scene does not have are ignored."""
     return FieldTable({name: getattr(state.particles, name) for name in names})

@@ -13,6 +13,7 @@ from granflow.engine.host_fields import components
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
+from granflow.engine.ranks import Gathering, OneProcess
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
@@ -60,6 +61,8 @@ class CellSort(Fields):
     reach_largest:     largest reach [m] of all particles
     cell_count:        cells of each grid, and of all size classes
     present:           number of particles that are not deleted
+    owned_count:       number of particles of this MPI rank
+    ghost_first:       index of the first ghost, the begin of a chunk
     """
 
     def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
@@ -208,6 +211,7 @@ class State:
     batch:          columns of the batched contacts; None on a GPU and with one particle per chunk
     wall_dynamics:  force-controlled walls; None without
     mesh:           mesh walls, see `mesh_fields`; None without
+    ranks:          combines the data of MPI ranks
     """
 
     def __init__(self, plan: Plan, backend: Backend) -> None:
@@ -233,6 +237,7 @@ class State:
         plan = self.plan
         self.clock = Clock(plan.time_step)
         self.count = 0
+        self.ranks: Gathering = OneProcess()
         self.wall_motions: tuple[tuple[Motion, ...], ...] = tuple(() for _ in plan.walls)
         self.parameters.write(plan, self.capacities)
         self.cell_sort.fill(plan)

@@ -45,6 +45,7 @@ class Timing:
     particle_steps:       sum of the particle counts of all steps
     growth_count:         number of reallocations with a larger list capacity
     compile:              compilation of kernels
+    exchange:             part of `advance`: messages between MPI ranks, waiting for slower ranks included
     """
 
     neighbor_list: float = 0.0
@@ -56,17 +57,18 @@ class Timing:
     particle_steps: int = 0
     growth_count: int = 0
     compile: float = 0.0
+    exchange: float = 0.0
 
     @property
     def forces(self) -> float:
         """Wall-clock time [s] of contact forces."""
-        sampled = self.sampled_forces + self.sampled_integration
-        return self.advance * self.sampled_forces / sampled if sampled else self.advance
+        sampled, computing = self.sampled_forces + self.sampled_integration, self.advance - self.exchange
+        return computing * self.sampled_forces / sampled if sampled else computing
 
     @property
     def integration(self) -> float:
         """Wall-clock time [s] of time integration."""
-        return self.advance - self.forces
+        return self.advance - self.exchange - self.forces
 
 
 class Stepper:

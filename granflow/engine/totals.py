@@ -36,7 +36,7 @@ def totals_of(
     """
     contacts, mobile, plan = measured["contact_count"], mobility_mask(arrays), state.plan
     totals = {
-        "particle_count": float(state.count),
+        "particle_count": float(len(arrays["mass"])),
         "inserted_count": float(accounting.inserted_count),
         "deleted_count": float(accounting.deleted_count),
         "deleted_mass": accounting.deleted_mass,
@@ -65,7 +65,7 @@ def ended_contacts_dissipation(state: State) -> float:
     losses = state.control.losses
     if losses is None:
         return 0.0
-    return float(exact_totals(losses.to_numpy(), state.plan.sum_units.energy / SHARES)[PLASTIC])
+    return float(exact_totals(state.ranks.total(losses.to_numpy()), state.plan.sum_units.energy / SHARES)[PLASTIC])
 
 
 def energy_budget_totals(
@@ -85,12 +85,15 @@ def energy_budget_totals(
     so that rounding does not count as an energy error.
     """
     unit = state.plan.sum_units.energy / SHARES
-    losses = dict(zip(LOSSES, exact_totals(state.control.losses.to_numpy(), unit).tolist(), strict=True))
+    words = state.ranks.total(state.control.losses.to_numpy())
+    losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
     sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
     other_works = {
-        name: float(exact_totals(each.to_numpy(), unit)[0]) for name, each in sums.items() if each is not None
+        name: float(exact_totals(state.ranks.total(each.to_numpy()), unit)[0])
+        for name, each in sums.items()
+        if each is not None
     }
     works = (losses["wall_work"], *other_works.values())
     dissipated = sum(losses[name] for name in LOSSES if name != "wall_work")

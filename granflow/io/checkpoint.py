@@ -129,11 +129,20 @@ def checkpoint_at(path: Path | str) -> Checkpoint:
     Raises CheckpointError for a damaged file, or a directory without a usable checkpoint.
     """
     path = Path(path)
+    if not path.exists():
+        raise CheckpointError(
+            f"{path}: there is no such file or directory; give a checkpoint or the directory of a run."
+        )
     if not path.is_dir():
         return read_checkpoint(path)
-    found, _ = newest_checkpoint(path)
+    found, damaged = newest_checkpoint(path)
     if found is None:
-        raise CheckpointError(f"{path}: no usable checkpoint; give the directory of a run.")
+        reason = (
+            damaged[0]
+            if damaged
+            else ("a run writes them at its end, when it is stopped, and as set in output.checkpoint.")
+        )
+        raise CheckpointError(f"{path} contains no usable checkpoint: {reason}")
     return found
 
 

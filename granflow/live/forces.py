@@ -100,6 +100,8 @@ class ParticleForce:
         self.function = function
         self.name: str = name or str(getattr(function, "__name__", type(function).__name__))
         _refuse_other_arguments(self.name, function)
+        if getattr(function, "__name__", "") == "<lambda>":
+            raise GranflowError("ParticleForce cannot compile a lambda: define the function with def.")
         self.parameters = ForceParameters(f"force {self.name}", parameters or {})
 
     @property

@@ -58,12 +58,15 @@ def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
 
 
 def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
-    """Number of the group: given, or the first one of the material, or the only one."""
+    """Number of the group: given, or the only one of the material, or of the scene."""
     names, materials = [each.name for each in plan.groups], [each.material for each in plan.groups]
     if material is not None:
         named("material", material, list(dict.fromkeys(materials)))
     if group is None and material is None and len(names) > 1:
         raise GranflowError(f"group is missing: give one of {', '.join(names)}.")
+    if group is None and material is not None and materials.count(material) > 1:
+        both = [name for name, each in zip(names, materials, strict=True) if each == material]
+        raise GranflowError(f"group is missing: {', '.join(both)} are of {material}.")
     if group is None:
         return 0 if material is None else materials.index(material)
     number = named("group", group, names)

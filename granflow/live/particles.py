@@ -152,7 +152,7 @@ class LiveParticles:
         diameter:          (k,) or a number [m], between those of the scene; default: that of the group
         material:          name; default: that of the group
         velocity:          (k, 3) or (3,) [m/s]
-        group:             name of a group of the scene; default: the first one with the material
+        group:             name of a group of the scene; default: the only one, of the material if that is given
         angular_velocity:  (k, 3) or (3,) [rad/s]
         Raises:            GranflowError for arguments that are not valid; no particle is added then
 

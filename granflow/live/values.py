@@ -24,7 +24,8 @@ def array_of(name: str, given: object, count: int, width: int | None) -> np.ndar
     except (ValueError, TypeError):
         raise GranflowError(f"{name} is {given!r}, but must be an array {shape} of numbers.") from None
     if values.shape not in (shape, shape[1:]):
-        raise GranflowError(f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}.")
+        remedy = f"; give its transpose, {name}.T" if values.ndim == 2 and width == len(values) else ""
+        raise GranflowError(f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}.")
     return finite(name, np.broadcast_to(values, shape).copy())
 
 

@@ -68,6 +68,8 @@ class LiveWall:
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")
         wall = wall_named(state.plan, self.name)
+        if wall.vanishes_at is not None and wall.vanishes_at <= time:
+            raise GranflowError(f"walls[{self.name!r}] was removed at {wall.vanishes_at:.6g} s: it cannot move.")
         (present,) = wall_motions([wall.motions], state.progress.stage_times)
         planned = [each.given for each in planned_motions(motions, state.plan.gravity)]
         begun = [replace(each, start=max(each.start, time)) for each in planned]

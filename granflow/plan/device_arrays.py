@@ -108,6 +108,8 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("reach_largest", "position", (1,)),
         DeviceArray("cell_count", "i32", (classes[0] + 1,)),
         DeviceArray("present", "i32", (1,)),
+        DeviceArray("owned_count", "i32", (1,), wanted=plan.has_ghosts),
+        DeviceArray("ghost_first", "i32", (1,), wanted=plan.has_ghosts),
     ]
 
 

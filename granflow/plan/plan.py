@@ -128,6 +128,8 @@ class Plan:
     """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
     external_forces: tuple[ExternalForce, ...] = ()
     """Forces that a program has added; none follow from the scene."""
+    has_ghosts: bool = False
+    """Whether the run is one of several MPI ranks: its neighbor lists contain ghosts, see `plan.ranks`."""
 
     @property
     def time_step(self) -> float:
@@ -239,8 +241,9 @@ class Plan:
 
     @property
     def class_cell_capacity(self) -> int:
-        """Maximum number of cells in the grids of all size classes; 0 for a single class in a box without shear."""
-        classes, needed = len(self.size_classes), self.features.lees_edwards or len(self.size_classes) > 1
+        """Maximum number of cells in the grids of all size classes; 0 for a single class without shear or ghosts."""
+        classes, several = len(self.size_classes), len(self.size_classes) > 1
+        needed = several or self.features.lees_edwards or self.has_ghosts
         return 2 * self.cell_capacity + classes * BLOCK_CELLS if needed else 0
 
     @property

@@ -23,6 +23,7 @@ def structure_of(plan: Plan) -> Hashable:
         _shear_axes(plan),
         plan.domain.on_exit == "expand",
         plan.chunk_size == 1,
+        plan.has_ghosts,
         frozenset(surface_code(wall.shape) for wall in plan.walls),
         tuple(outlet.kind for outlet in plan.outlets),
         tuple(motion.kind for motion in plan.controlled_motions),

@@ -10,7 +10,7 @@ in contact can have, and the overlap d = L R:
 
 with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned velocity v. With
 F rounded up to a power of two, the unit of a force is F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also
-exact if their terms are in f32, of which those below 2^-22 F are rounded to multiples of half a unit.
+exact if their terms are in f32, of which those above 2^-23 F are multiples of half a unit.
 """
 
 from collections.abc import Sequence

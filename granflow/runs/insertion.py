@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.engine import Engine
-from granflow.engine.host_copy import copy_to_host
 from granflow.load import Scene
 from granflow.particles.insertion import inserters
 from granflow.scene.schema.sizes import ClassSizes
@@ -49,7 +48,7 @@ class ParticleInsertion:
         inserted = False
         for inserter in self._inserters:
             if engine.reached(inserter.next_time):
-                existing = copy_to_host(engine.state, ("position", "radius"))
+                existing = engine.copied(("position", "radius"))
                 new = inserter.insert_due(
                     engine.time + 0.5 * engine.time_step, existing["position"], existing["radius"]
                 )

@@ -106,7 +106,7 @@ class Run:
         if self.is_running:
             return "running"
         if self.result_sections:
-            return "complete"
+            return "complete" if self.result_sections.get("complete", True) else "unfinished"
         last = next((entry.text for entry in reversed(self.log) if entry.level == "ERROR"), "")
         return "aborted" if last.startswith(ABORTED) else "unfinished"
 
@@ -136,7 +136,7 @@ class Run:
 
     @cached_property
     def result_sections(self) -> dict[str, Any]:
-        """Sections of `result.json`; empty if the run is not complete."""
+        """Sections of `result.json`; empty for a run that was aborted or killed."""
         return read_sections(self.directory / "result.json")
 
     @property

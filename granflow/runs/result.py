@@ -29,7 +29,8 @@ class Result:
     """Numbers of a completed run, in SI units.
 
     `run`: simulated_time, step_count, time_step, steps_per_second, particle_steps_per_second, ...
-    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, output, compile.
+    `timings`: wall clock by phase [s], in display order: neighbor_list, forces, integration, exchange (only
+    on MPI ranks), output, compile.
     `totals`: those of the last snapshot. `flow_meters`: flow_mass, flow_count and mass_flow by name of the meter.
     `wall_forces`: wall_force_x, ... by name of the wall. `metrics`: values by name of the metric. `insertion`:
     inserted_count, inserted_mass and not_inserted_count by name of the inserted group.
@@ -49,6 +50,8 @@ class Result:
     expectations: tuple[ExpectationResult, ...] = ()
     warnings: tuple[str, ...] = ()
     """All warnings of the run, each once."""
+    is_complete: bool = True
+    """Whether the last stage has ended."""
 
     def with_expectations(self, expectations: Iterable[Expectation]) -> "Result":
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
@@ -91,11 +94,12 @@ class Result:
 def write_result(directory: Path, result: Result) -> Path:
     """Write `result.json` atomically; a number that is not finite becomes null. Return its path.
 
-    Sections: run, timings [s], totals, flow_meters, wall_forces, metrics, insertion, expect and warnings, both lists of
-    sentences.
+    Sections: complete (whether the last stage has ended), run, timings [s], totals, flow_meters, wall_forces, metrics,
+    insertion, expect and warnings, both lists of sentences.
     All numbers are in SI units; whole numbers are written without decimals.
     """
     sections = {
+        "complete": result.is_complete,
         "run": _finite(result.run),
         "timings": _finite(result.timings),
         "totals": _finite(result.totals),
@@ -138,6 +142,7 @@ def result_of(sections: Mapping[str, Any]) -> Result:
         insertion=parts("insertion"),
         expectations=tuple(ExpectationResult(each["sentence"], each["met"]) for each in sections.get("expect", ())),
         warnings=tuple(sections.get("warnings", ())),
+        is_complete=bool(sections.get("complete", True)),
     )
 
 

@@ -9,7 +9,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from granflow.errors import OutputError
+from granflow.errors import GranflowError, OutputError
 from granflow.io.atomic_files import remove_parts
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import Checkpoint, remove_after
@@ -19,24 +19,33 @@ from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_schedule import CheckpointWriter
 from granflow.runs.input_copies import copy_inputs
-from granflow.runs.previous import refuse_inputs_inside, replaced_run
+from granflow.runs.previous import refuse_inputs_inside, replaced_run, results_in
 from granflow.runs.result import Result, write_result
 
 
 class RunDirectory:
     """Files of one run, except those of observers. Without a path nothing is written, and all methods have no effect.
 
-    `resumed`: checkpoint from which the run continues, or None. `writer`: writes the frames of observers, in a thread
-    while the directory is open.
+    `resumed`: checkpoint from which the run continues, or None. `checkpoints`: whether the run writes some. `writer`:
+    writes the frames of observers, in a thread while the directory is open.
 
-    Raises GranflowError if a new run would delete an input file of its scene.
+    Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an earlier run.
     """
 
-    def __init__(self, path: Path | None, scene: Scene, resumed: Checkpoint | None) -> None:
+    def __init__(
+        self,
+        path: Path | None,
+        scene: Scene,
+        resumed: Checkpoint | None,
+        overwrite: bool = False,
+        checkpoints: bool = True,
+    ) -> None:
         self.path = path
         self.writer = BackgroundWriter()
         self._scene, self._resumed = scene, resumed
-        self._checkpoints = None if path is None else CheckpointWriter(path, scene.output.checkpoint, scene.to_yaml())
+        self._checkpoints: CheckpointWriter | None = None
+        if path is not None and checkpoints:
+            self._checkpoints = CheckpointWriter(path, scene.output.checkpoint, scene.to_yaml())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
         self._warnings: list[str] = []
@@ -44,6 +53,11 @@ class RunDirectory:
         self._log_exists = resumed is not None
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
+            if not overwrite and results_in(path):
+                raise GranflowError(
+                    f"{path} contains an earlier run: give another directory, replace the run with overwrite=True, or "
+                    "continue it with resume."
+                )
 
     def create(self) -> None:
         """Create the directory."""

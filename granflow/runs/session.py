@@ -26,6 +26,7 @@ class RunSession:
         self._loop, self._state, self._files = loop, loop.state, files
         self._resumed, self._warnings = resumed, warnings
         self._open, self.is_open, self._has_ended = ExitStack(), False, False
+        self._failure: type[BaseException] | None = None
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -64,14 +65,22 @@ class RunSession:
         if self.is_open:
             return
         if self._has_ended and self._files.path is not None:
-            raise GranflowError(
-                f"The files in {self._files.path} are finished: put all runs of the simulation into one with block, or "
-                "resume from the last checkpoint."
-            )
+            raise GranflowError(self._reason_of_end())
         self.is_open = True
         self._open.enter_context(self._files.open(self._state.observers.checkpointed().values()))
         self._open.callback(self._state.observers.finish)
         self._files.start_schedule(self._loop.engine.time)
+
+    def _reason_of_end(self) -> str:
+        """Why files cannot be written any more, and the remedy."""
+        path, saved = self._files.path, self._files.checkpoint_time
+        if self._failure is None:
+            return (
+                f"The files in {path} are finished: put all runs of the simulation into one with block, or resume from "
+                "the last checkpoint."
+            )
+        last = "It has no checkpoint." if saved is None else f"Resume from its last checkpoint, at {saved:.6g} s."
+        return f"{self._failure.__name__} has ended the run in {path}. {last}"
 
     def _saved(self, error: FunctionError) -> FunctionError:
         """The error with a sentence on the checkpoint, which is written here if the run has begun."""
@@ -83,7 +92,7 @@ class RunSession:
     def _abandon(self) -> None:
         """During the handling of an exception, close the files as they are."""
         if self.is_open:
-            self.is_open, self._has_ended = False, True
+            self.is_open, self._has_ended, self._failure = False, True, sys.exc_info()[0]
             self._open.__exit__(*sys.exc_info())
 
     def abandon(self) -> None:

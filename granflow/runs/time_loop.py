@@ -55,6 +55,7 @@ class TimeLoop:
         if self.stages_ended and isfinite(end) and not within_stages:
             while self.state.progress.target is not None or not self.engine.reached(end):
                 self._advance_to(min(end, self._next_event()))
+        self._handle_requests()
 
     def _run_stage(self, stage: PlannedStage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
@@ -165,8 +166,9 @@ class TimeLoop:
     def _handle_requests(self) -> None:
         """Stop if requested, after a checkpoint; write a checkpoint if due."""
         if self.stop_requested is not None:
+            error, self.stop_requested, self.engine.stepper.interrupted = self.stop_requested, None, False
             self.save()
-            raise self.stop_requested
+            raise error
         with self.state.wall_clock.measuring_output():
             self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from inspect import getsource
 
 from granflow.contact import registry
+from granflow.contact.branches import run_time_branches
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
 from granflow.scene import partial
@@ -11,6 +12,9 @@ from granflow.scene.schema import contact, materials
 from granflow.scene.schema.fields import Model
 from granflow.scene.schema.scene import SceneInput
 from granflow.scene.schema.units import DIMENSIONS
+
+VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
+"""Device functions that are evaluated for many contacts at once."""
 
 
 def register_contact_model(model: ContactModel) -> None:
@@ -30,6 +34,7 @@ def register_contact_model(model: ContactModel) -> None:
                 f"{', '.join(DIMENSIONS)}"
             )
     _refuse_without_source(model)
+    _refuse_branches(model)
     registry.add(model)
     _use_registry()
 
@@ -44,6 +49,19 @@ def _refuse_without_source(model: ContactModel) -> None:
                 f"contact model {model.law.__name__}: the source of {name} is not available; define the class in a "
                 "file or a notebook cell."
             ) from None
+
+
+def _refuse_branches(model: ContactModel) -> None:
+    """Raise ValueError for a branch in a function that runs in a vectorized loop."""
+    if not getattr(model.law, "branch_free", True):
+        return
+    for name in filter(lambda each: hasattr(model.law, each), VECTORIZED):
+        for place in run_time_branches(getattr(model.law, name)):
+            remedy = "use ti.select" + (", or set branch_free = False" if hasattr(model.law, "branch_free") else "")
+            raise ValueError(
+                f"contact model {model.law.__name__}: {place}: {name} has a branch that depends on the contact, in a "
+                f"loop that must be vectorized; {remedy}"
+            )
 
 
 def _amounts(model: ContactModel) -> Iterator[Amount]:

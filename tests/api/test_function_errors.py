@@ -42,7 +42,7 @@ def nothing(position, velocity, radius, mass, time, parameters):
 
 
 FORCES = {
-    undefined: (2, 'Name "viscosity" is not defined'),
+    undefined: (2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
     member: (1, "AttributeError: the struct has no attribute 'viscosiy'"),
     text: (1, "Invalid constant scalar data type: <class 'str'>"),
     early: (2, "Return inside non-static if/for is not supported"),
@@ -104,17 +104,6 @@ class Kind(Faulty):
 
 
 @dataclass(frozen=True)
-class Early(Faulty):
-    name = "early_return"
-
-    @ti.func
-    def force(self, constants, contact, history):
-        if contact.overlap > 1.0:
-            return contact.overlap, history
-        return contact.overlap, history
-
-
-@dataclass(frozen=True)
 class OtherHistory(Faulty):
     name = "other_history"
 
@@ -128,11 +117,10 @@ class OtherHistory(Faulty):
 
 
 MODELS = {
-    Undefined: (helper, 2, 'Name "stiffness" is not defined'),
+    Undefined: (helper, 2, 'Name "stiffness" is not defined; give numbers of the program in `parameters`'),
     Member: (Member.force, 2, "AttributeError: the struct has no attribute 'overlapp'"),
     OneValue: (OneValue.force, 0, "force must return (number, history), not (number)"),
     Kind: (Kind.force, 0, "force must return (number, history), not (vector, history)"),
-    Early: (Early.force, 3, "Return inside non-static if/for is not supported"),
     OtherHistory: (OtherHistory.force, 0, "force must return the history with its fields (largest)"),
 }
 """Models with an error: function, number of the line in the function with its decorator, and reason."""
@@ -182,3 +170,49 @@ def test_contact_model_that_cannot_be_compiled(taichi_f64, tmp_path, law):
     assert str(error.value) == sentence
     with gf.Simulation(scene()) as simulation:
         simulation.step(2)
+
+
+def test_a_lambda_is_refused_as_a_force():
+    with pytest.raises(gf.GranflowError, match="ParticleForce cannot compile a lambda: define the function with def"):
+        gf.ParticleForce(lambda position, velocity, radius, mass, time, parameters: velocity)
+
+
+class Branching(Faulty):
+    """Conditions of numbers that are known when the kernel is compiled, and one that is not."""
+
+    name = "branching"
+    doubled = True
+
+    @ti.func
+    def force(self, constants, contact, history):
+        result = contact.overlap
+        if self.doubled and ti.static(len(history.keys) == 0):
+            result = 2.0 * result
+        for k in ti.static(range(2)):
+            if k == 1:
+                result = 3.0 * result
+        if result > 1.0:
+            result = 1.0
+        return result, history
+
+
+class Looping(Faulty):
+    name = "looping"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        result = contact.overlap
+        while result > 1.0:
+            result = 0.5 * result
+        return result, history
+
+
+@pytest.mark.parametrize(("law", "line"), [(Branching, 8), (Looping, 3)])
+def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, line):
+    """Without the refusal the process ends with a segmentation fault when the first scene is compiled."""
+    with pytest.raises(ValueError) as error:
+        gf.register_contact_model(ContactModel(law, "has a branch"))
+    assert str(error.value) == (
+        f"contact model {law.__name__}: {position_of(law.force, line)}: force has a branch that depends on the "
+        "contact, in a loop that must be vectorized; use ti.select"
+    )

@@ -69,7 +69,7 @@ def test_budget_closes_with_all_changes(simulation):
     particles.position[0] += [0.0, 0.0, 0.05]
     particles.angular_velocity[1] = [10.0, 0.0, 0.0]
     particles.diameter[:] = 0.011
-    particles.add([[0.2, 0.0, 0.0]], diameter=0.012, material="glass", velocity=[0.0, 0.0, 1.0])
+    particles.add([[0.2, 0.0, 0.0]], diameter=0.012, group="feed", velocity=[0.0, 0.0, 1.0])
     particles.remove([2])
     before = particles.id[:]
     simulation.run(duration=2e-3)

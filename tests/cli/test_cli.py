@@ -130,6 +130,8 @@ def test_run_passes_arguments_to_the_simulation(stubs, capsys):
         "out": Path("here"),
         "progress": True,
         "allow_long": False,
+        "communicator": None,
+        "overwrite": False,
     }
     assert stubs.until == 1.0
     output = capsys.readouterr().out
@@ -140,7 +142,7 @@ def test_default_output_directory_is_named_after_the_scene(stubs):
     main(["run", "scenes/hopper.yaml"])
     assert stubs.simulation == {
         **{"arch": "cpu", "threads": None},
-        **{"out": Path("out/hopper"), "progress": True, "allow_long": False},
+        **{"out": Path("out/hopper"), "progress": True, "allow_long": False, "communicator": None, "overwrite": False},
     }
 
 

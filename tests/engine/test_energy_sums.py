@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from granflow.engine.accounting import Accounting, mechanical_energy
+from granflow.engine.ranks import OneProcess
 from granflow.engine.totals import energy_budget_totals
 from granflow.plan.chunk_sums import LOSSES
 
@@ -37,7 +38,9 @@ def totals(inserted, removed=0.5, **changes):
     words = [[int(losses[name] * 2 / ENERGY_UNIT) for name in LOSSES] + [0] * len(LOSSES)]
     field = SimpleNamespace(to_numpy=lambda: np.array(words))
     state = SimpleNamespace(
-        control=SimpleNamespace(losses=field, boundary_work=None, external_work=None), wall_dynamics=None
+        control=SimpleNamespace(losses=field, boundary_work=None, external_work=None),
+        wall_dynamics=None,
+        ranks=OneProcess(),
     )
     state.backend, state.plan = SimpleNamespace(precision="f64"), SimpleNamespace(sum_units=SimpleNamespace())
     state.plan.sum_units.energy = ENERGY_UNIT

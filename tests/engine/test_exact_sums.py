@@ -8,9 +8,10 @@ from scene_builders import box, build_scene, particle_group, plane, run_to_end
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
-from granflow.engine.exact_sums import CARRY_BITS, exact_sum, exact_totals
+from granflow.engine.exact_sums import CARRY_BITS, build_to_grid, exact_sum, exact_totals
 from granflow.engine.threads import workers
 from granflow.errors import RunError
+from granflow.kernel_language import ti
 from granflow.observers.interval import on_interval
 from granflow.plan import sum_units
 from granflow.simulation import Simulation
@@ -97,6 +98,28 @@ def test_neighbor_lists_do_not_change_the_bits(name, precision):
     assert many > 1.5 * few and forced > few
     assert others == batched
     assert one_by_one == batched
+
+
+@pytest.mark.parametrize(("name", "bits"), [("f32", 45), ("f64", 50)])
+def test_rounding_to_the_grid_is_odd_and_exact_in_half_units(taichi_f64, name, bits):
+    """Numbers up to 2^bits units: of the two precisions, the one with the larger eps needs all branches."""
+    numpy_type, real, unit = getattr(np, name.replace("f", "float")), getattr(ti, name), 2.0**-40
+    to_grid, external, shift = build_to_grid(real), ti.types.ndarray(), 1.5 * unit / np.finfo(numpy_type).eps
+
+    @ti.kernel
+    def round_all(values: external, rounded: external, by: real):
+        for k in values:
+            rounded[k] = to_grid(values[k], by)
+
+    rng = np.random.default_rng(3)
+    positive = (unit * rng.uniform(1.0, 2.0, 20_000) * 2.0 ** rng.uniform(-5.0, bits - 1.0, 20_000)).astype(numpy_type)
+    values = np.concatenate([positive, -positive])
+    rounded = np.zeros_like(values)
+    round_all(values, rounded, shift)
+    up, down = np.split(rounded.astype(float) / unit, 2)
+    np.testing.assert_array_equal(down, -up)
+    np.testing.assert_array_equal(2.0 * up, np.rint(2.0 * up))
+    assert np.abs(up - positive.astype(float) / unit).max() <= 0.5
 
 
 def test_force_above_the_range_of_the_sums_aborts_the_run(taichi_f64, monkeypatch):

@@ -107,7 +107,7 @@ def resumed_snapshot(scene, checkpoint, until):
 @pytest.fixture(scope="module")
 def restored_particles(checkpoint):
     """Particles of the checkpoint, with positions and velocities at the same time."""
-    return resumed_snapshot(falling_particles(), checkpoint, until=0.0).particles
+    return resumed_snapshot(falling_particles(), checkpoint, until=checkpoint.time).particles
 
 
 def test_gate_removed_on_resume_lets_particles_fall(checkpoint, restored_particles):

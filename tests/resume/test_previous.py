@@ -136,14 +136,14 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
         assert contents(out / "previous_run") == as_bytes(OLD), "the previous run is deleted only after the first frame"
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    failing = Simulation(scene, out=out)
+    failing = Simulation(scene, out=out, overwrite=True)
     with monkeypatch.context() as patched:
         patched.setattr(frames, "write_vtu", raise_disk_full)
         with pytest.raises(OutputError, match="No space left on device"):
             failing.run()
     failing.free()
     assert contents(out) == as_bytes(OLD) | OTHER_FILES
-    succeeding = Simulation(scene, out=out)
+    succeeding = Simulation(scene, out=out, overwrite=True)
     succeeding.run()
     succeeding.free()
     assert not (out / "previous_run").exists()

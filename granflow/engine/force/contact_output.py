@@ -8,7 +8,7 @@ import numpy as np
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
-from granflow.engine.host_copy import FieldTable
+from granflow.engine.host_copy import FieldTable, consecutive
 from granflow.engine.neighbor.contact_history_entry import build_read_history
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
@@ -26,9 +26,7 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     rows = state.built(_row_table).take(np.arange(state.count))
     begin, end = rows["begin"], rows["end"]
-    owner = np.repeat(np.arange(state.count), end - begin)
-    first = np.repeat(begin - np.concatenate([[0], np.cumsum(end - begin)[:-1]]), end - begin)
-    list_index = (first + np.arange(len(owner))).astype(np.int64)
+    owner, list_index = np.repeat(np.arange(state.count), end - begin), consecutive(begin, end - begin).astype(np.int64)
     return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
 
 

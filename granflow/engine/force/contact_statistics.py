@@ -42,14 +42,13 @@ class ContactStatistics:
 
         Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """
-        state = self.state
-        if not state.count:
-            return dict.fromkeys((*SUMS, *ENERGIES, "overlap_largest"), 0.0)
-        self._measure(state.chunk_count, state.count, pose, state.clock.time_step)
-        totals = self.sums.to_numpy()[: state.chunk_count].sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT]
+        state, ranks, chunks = self.state, self.state.ranks, self.state.chunk_count
+        if chunks:
+            self._measure(chunks, state.count, pose, state.clock.time_step)
+        totals = ranks.total(self.sums.to_numpy()[:chunks]).sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT]
         unit = state.plan.sum_units.energy / SHARES
-        energies = exact_totals(self.energies.to_numpy()[: state.chunk_count], unit)
-        largest = float(self.largest.to_numpy()[: state.chunk_count].max())
+        energies = exact_totals(ranks.total(self.energies.to_numpy()[:chunks]), unit)
+        largest = ranks.largest(float(self.largest.to_numpy()[:chunks].max(initial=0.0)))
         names, values = (*SUMS, *ENERGIES, "overlap_largest"), (*totals.tolist(), *energies.tolist(), largest)
         return dict(zip(names, values, strict=True))
 

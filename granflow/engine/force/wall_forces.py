@@ -52,6 +52,6 @@ def wall_impulses(state: State) -> dict[str, np.ndarray]:
     """
     if state.control.impulses is None:
         return {}
-    sums, units = state.control.impulses.to_numpy(), state.plan.sum_units
+    sums, units = state.ranks.total(state.control.impulses.to_numpy()), state.plan.sum_units
     unit = np.array([units.impulse] * 3 + [units.angular_impulse] * 3 + [units.impulse])
     return {name: exact_totals(sums[:, row], unit) for row, name in enumerate(state.plan.measured_walls)}

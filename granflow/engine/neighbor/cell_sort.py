@@ -83,23 +83,31 @@ def sort_phases(state: State) -> list[Phase]:
 
 
 def class_phases(state: State) -> list[Phase]:
-    """Order of the sorted particles by size class and cell of its grid.
+    """Order of the sorted particles, and of ghosts, by size class and cell of its grid.
 
-    Within a cell the particles keep their order.
+    Within a cell the particles keep their order. Entries between the owned particles and the ghosts are unused.
 
-    Reads:   position, radius
+    Reads:   position, radius, owned_count, ghost_first
     Writes:  class_start, class_order
     """
-    particles, sorting = state.particles, state.cell_sort
+    particles, sorting, has_ghosts = state.particles, state.cell_sort, state.plan.has_ghosts
     class_count = state.parameter("class_count")
 
     @ti.func
-    def cell_of(i, cell_count):
+    def class_cell(i):
         group = 0
         for smaller in range(class_count() - 1):
             group += ti.cast(particles.radius[i] > sorting.radius[smaller], ti.i32)
         cell = cell_number(cell_of_point(sorting, group, particles.position[i]), sorting.cells[group])
         return sorting.first_cell[group] + cell
+
+    @ti.func
+    def cell_of(i, cell_count):
+        cell = class_cell(i)
+        if ti.static(has_ghosts):
+            if i >= sorting.owned_count[0] and i < sorting.ghost_first[0]:
+                cell = cell_count
+        return cell
 
     @ti.func
     def cells_of_all():
@@ -111,7 +119,10 @@ def class_phases(state: State) -> list[Phase]:
 
     @ti.func
     def present_count(rebuild):
-        return sorting.cell_start[sorting.cell_count[0]]
+        present = rebuild.count
+        if ti.static(not has_ghosts):
+            present = sorting.cell_start[sorting.cell_count[0]]
+        return present
 
     return _counting_sort(state, cell_of, cells_of_all, present_count, key, sorting.class_start, sorting.class_order)
 

@@ -6,6 +6,11 @@ from granflow.engine.state import State
 from granflow.kernel_language import ti
 
 
+def vector_components(state: State, slot: str) -> list[bool]:
+    """For each component of a history, whether it is one of a vector: it changes its sign with the order of a pair."""
+    return [each.size > 1 for each in state.plan.laws.history[slot] for _ in range(each.size)]
+
+
 def build_save_history(state: State) -> Any:
     """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
@@ -45,19 +50,18 @@ def build_restore_history(state: State) -> Any:
     """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
     If the pair was in the list of the partner, vectors change their sign. Without a saved history all values are zero.
+    On MPI ranks the host has saved the histories of each particle in its new place, with the ids of the partners.
 
-    Reads:   order, saved, partner_saved
+    Reads:   order, id, saved, partner_saved
     Writes:  history, in_contact
     """
     neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
-    names = list(neighbors.history)
-    is_vector = {
-        name: [each.size > 1 for each in state.plan.laws.history[name] for _ in range(each.size)] for name in names
-    }
+    names, has_ghosts = list(neighbors.history), state.plan.has_ghosts
+    is_vector = {name: vector_components(state, name) for name in names}
 
     @ti.func
     def find_saved(row, partner):
-        """Index in `saved` of a partner of the particle `row`; -1 if none. Both are indices before the sort."""
+        """Index in `saved` of a partner of the particle `row`; -1 if none."""
         found = -1
         for list_index in range(neighbors.list_begin_before[row], neighbors.list_end_before[row]):
             if neighbors.partner_saved[list_index] == partner:
@@ -65,7 +69,8 @@ def build_restore_history(state: State) -> Any:
         return found
 
     @ti.func
-    def restore_history(list_index, i, j):
+    def source_before_sort(i, j):
+        """Index in `saved` of a pair; -1 if none. Sign of its vectors."""
         i_before = sorting.order[i]
         j_before = j
         if j >= 0:
@@ -75,6 +80,21 @@ def build_restore_history(state: State) -> Any:
         if source < 0 and j >= 0 and i_before // chunk_size() == j_before // chunk_size():
             source = find_saved(j_before, i_before)
             sign = -1.0
+        return source, sign
+
+    @ti.func
+    def source_by_id(i, j):
+        """As `source_before_sort`, on MPI ranks."""
+        partner = j
+        if j >= 0:
+            partner = state.particles.id[j]
+        return find_saved(i, partner), 1.0
+
+    source_of = source_by_id if has_ghosts else source_before_sort
+
+    @ti.func
+    def restore_history(list_index, i, j):
+        source, sign = source_of(i, j)
         neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
         for name in ti.static(names):
             neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]

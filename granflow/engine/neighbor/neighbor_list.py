@@ -45,7 +45,7 @@ def fill_phase(state: State) -> Phase:
     """
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
-    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
+    lists, longest_allowed, has_ghosts = NeighborListFill(state), NO_LIMIT, state.plan.has_ghosts
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
@@ -53,7 +53,10 @@ def fill_phase(state: State) -> Phase:
     def present_count(rebuild):
         present = 0
         if rebuild.count > 0:
-            present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
+            if ti.static(has_ghosts):
+                present = sorting.owned_count[0]  # the lists of ghosts are on the ranks that own them
+            else:
+                present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
         return present
 
     @ti.func

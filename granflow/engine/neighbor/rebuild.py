@@ -24,7 +24,9 @@ class RebuildKernel:
     """
 
     def __init__(self, state: State) -> None:
-        phases = [*_chunk_phases(state), bounds_phase(state), *sort_phases(state), *reorder_phases(state)]
+        phases = [bounds_phase(state)]
+        if not state.plan.has_ghosts:  # ranks sort their particles on the host
+            phases = [*_chunk_phases(state), *phases, *sort_phases(state), *reorder_phases(state)]
         if state.cell_sort.class_order is not None:
             phases += class_phases(state)
         self.fill = len(phases)

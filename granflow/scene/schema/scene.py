@@ -5,7 +5,7 @@ in `RunSettings` and `Numerics`.
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, cast
 
 from pydantic import Field, PrivateAttr
 
@@ -124,8 +124,16 @@ class SceneInput(Model):
 
     def to_yaml(self) -> str:
         """The resolved scene as YAML with all defaults, in SI units; the text loads to an equal scene."""
+        return to_yaml(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The resolved scene as nested dictionaries with all defaults, in SI units; keys are those of a scene file.
+
+        `granflow.Scene.from_dict` makes an equal scene of it.
+        """
         # The serializer of this class: a subclass, which has the same fields, would build another one.
-        return to_yaml(SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True))
+        found = SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True)
+        return cast("dict[str, Any]", found)
 
     def is_given(self, *key_path: str | int) -> bool:
         """Whether the file or an override gives this key; False for values from a default or a preset.

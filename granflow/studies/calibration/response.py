@@ -123,7 +123,10 @@ class Identification:
         name = names[index]
         others = [other for k, other in enumerate(names) if k != index and self.importance[k] > 0.0]
         if self.importance[index] == 0.0:
-            return f"{name} cannot be identified from the targets: none of them responds to it."
+            return (
+                f"{name} cannot be identified from the targets: none of them responds to it by more than the scatter "
+                "between runs."
+            )
         if others:
             together = ", ".join(others)
             return f"{name} cannot be identified from the targets: they determine it only together with {together}."

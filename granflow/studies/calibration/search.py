@@ -118,13 +118,20 @@ class Search:
 
     def scaled(self, trials: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), of completed trials."""
+        residuals = [np.concatenate(list(trial.user_attrs["residuals"].values())) for trial in trials]
+        return self._unit_parameters(trials), np.array(residuals)
+
+    def _unit_parameters(self, trials: Sequence[Any]) -> np.ndarray:
+        """Parameters (trials, d) scaled to [0, 1]."""
         parameters = self.calibration.parameters
         u = [[to_unit(each, trial.params[name]) for name, each in parameters.items()] for trial in trials]
-        residuals = [np.concatenate(list(trial.user_attrs["residuals"].values())) for trial in trials]
-        return np.array(u).reshape(-1, len(parameters)), np.array(residuals)
+        return np.array(u).reshape(-1, len(parameters))
 
     def _enqueue_refined(self) -> None:
-        """Enqueue the optimum of the response fitted to the trials near the best one, unless it was evaluated."""
+        """Enqueue the optimum of the response fitted to the trials near the best one, unless it was tried.
+
+        A trial that was stopped early or failed does not change the fit: its point would be tried again without end.
+        """
         trials = self.completed()
         if not trials:
             return
@@ -134,7 +141,8 @@ class Search:
         if response is None:
             return
         found = response.optimum(u[best])
-        if np.abs(u - found).max(axis=1).min() > NEW_POINT:
+        tried = self._unit_parameters([trial for trial in self.study.get_trials(deepcopy=False) if trial.params])
+        if np.abs(tried - found).max(axis=1).min() > NEW_POINT:
             named = zip(self.calibration.parameters.items(), found, strict=True)
             self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
 

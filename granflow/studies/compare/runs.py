@@ -109,7 +109,7 @@ def run_variant(
             on_interval(output.interval, forces.update, ("contacts",)),
             bursts_observer,
         ]
-        simulation = Simulation(scene, arch=arch, out=out, observers=observers)  # type: ignore[arg-type]
+        simulation = Simulation(scene, arch=arch, out=out, observers=observers, overwrite=True)  # type: ignore[arg-type]
     except SceneError as error:
         return "; ".join(error.problems)
     stopped = ""

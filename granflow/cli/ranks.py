@@ -1,0 +1,52 @@
+"""`granflow run --mpi`: the root runs the scene, the other ranks compute their part of each step."""
+
+import argparse
+import logging
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from granflow.cli.arguments import load_runnable
+from granflow.cli.signals import ignore_stops
+
+if TYPE_CHECKING:
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.rank_engine import RankEngine
+
+
+def on_ranks(options: argparse.Namespace, run: "Callable[[Communicator], int]") -> int:
+    """Run a scene on all ranks and return the exit code; 0 on all but the root.
+
+    run:  what the root does, with the communicator
+
+    Raises GranflowError without mpi4py, and on the root the exceptions of `run`.
+    """
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.serve import controlling, serve
+
+    communicator = Communicator()
+    options.threads = options.threads or threads_per_rank(communicator)
+    if communicator.is_root:
+        with controlling(communicator):
+            return run(communicator)
+    ignore_stops()
+    logging.getLogger("granflow").setLevel(logging.CRITICAL)
+    serve(communicator, lambda: _rank_engine(options, communicator))
+    return 0
+
+
+def threads_per_rank(communicator: "Communicator") -> int:
+    """CPU threads of each rank: its cores if mpirun has bound it to some, otherwise a part of those of the machine."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    ranks = communicator.local_size()
+    return max(cores // ranks if cores == os.cpu_count() else cores, 1)
+
+
+def _rank_engine(options: argparse.Namespace, communicator: "Communicator") -> "RankEngine":
+    """The engine of a rank that is not the root."""
+    from granflow.engine.backend import start
+    from granflow.parallel.rank_engine import RankEngine
+    from granflow.plan.build import plan_for
+
+    scene = load_runnable(options)
+    return RankEngine(plan_for(scene), start("cpu", scene.run.precision, options.threads), communicator)

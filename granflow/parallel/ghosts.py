@@ -1,0 +1,140 @@
+"""Ghosts: copies of particles that other ranks own, within reach of the particles of this rank."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.engine.ghost_kernels import ABORT, FLAGS, PARTICLE, REBUILD, STOP, GhostKernels
+from granflow.engine.limits import NO_PARTICLE
+from granflow.engine.ranks import Arrays
+from granflow.engine.state import State
+from granflow.parallel.communicator import Communicator, joined
+from granflow.plan.capacities import REACH_STEPS
+
+MARGIN = 1.0 + 1e-5
+"""Factor of distances above rounding, in all precisions: more ghosts than necessary are harmless."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounding box of the centers of a rank's particles, and their largest radius plus reach [m]."""
+
+    low: np.ndarray
+    high: np.ndarray
+    reach: float
+
+
+def reaches(state: State, arrays: Arrays) -> np.ndarray:
+    """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.cell_sort.bounds_phase`."""
+    plan = state.plan
+    speed = np.linalg.norm(arrays["velocity"].astype(float), axis=1)
+    reach = np.minimum(0.5 * plan.skin + speed * REACH_STEPS * state.clock.time_step, plan.reach_max)
+    found: np.ndarray = MARGIN * (arrays["radius"].astype(float) + reach)
+    return found
+
+
+def box_of(position: np.ndarray, reach: np.ndarray) -> Box:
+    """Box of particles at positions (n, 3) [m]; without particles nothing is within its reach."""
+    low = position.min(axis=0, initial=np.inf)
+    return Box(low, position.max(axis=0, initial=-np.inf), float(reach.max(initial=0.0)))
+
+
+def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Indices of the particles that can come into the neighbor lists of a rank.
+
+    position:  (n, 3) [m], inside the domain along periodic axes
+    reach:     (n,) [m], see `reaches`
+    """
+    if box.low[0] > box.high[0]:
+        return np.zeros(0, np.int64)
+    plan, gap_squared = state.plan, np.zeros(len(position))
+    for axis in range(3):
+        gap = _gap(position[:, axis], box.low[axis], box.high[axis])
+        if axis in plan.periodic_box.axes:
+            width = plan.domain_high[axis] - plan.domain_low[axis]
+            for shift in (-width, width):
+                gap = np.minimum(gap, _gap(position[:, axis] + shift, box.low[axis], box.high[axis]))
+        gap_squared += gap**2
+    return np.flatnonzero(gap_squared <= (MARGIN * (reach + box.reach + plan.laws.range)) ** 2)
+
+
+def _gap(coordinate: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Distance (n,) [m] of coordinates from a range."""
+    return np.maximum(np.maximum(low - coordinate, coordinate - high), 0.0)
+
+
+class GhostExchange:
+    """Selects ghosts at neighbor-list rebuilds, and updates them in each step.
+
+    first:  index of the first ghost; count: number of ghosts
+    """
+
+    def __init__(self, state: State, communicator: Communicator) -> None:
+        self._state, self._communicator = state, communicator
+        self._flags = np.zeros(FLAGS, np.int32)
+        self.first = self.count = 0
+        self._prepare([], [])
+
+    def select(self, arrays: Arrays) -> Arrays:
+        """Send the particles that other ranks need; returns the ghosts of this rank, all fields.
+
+        arrays:  saved fields of the owned particles, in the order that they have on the device from now on
+        """
+        communicator, position = self._communicator, arrays["position"].astype(float)
+        reach = reaches(self._state, arrays)
+        boxes = communicator.from_each(box_of(position, reach))
+        entries = [
+            np.zeros(0, np.int64) if rank == communicator.rank else within(self._state, box, position, reach)
+            for rank, box in enumerate(boxes)
+        ]
+        received = communicator.exchanged([{name: values[rows] for name, values in arrays.items()} for rows in entries])
+        self._prepare(entries, [len(part["id"]) for part in received])
+        return joined(received)
+
+    def _prepare(self, entries: list[np.ndarray], received: list[int]) -> None:
+        """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each rank."""
+        width = self._state.built(GhostKernels).width
+        self._sent, self.count = sum(len(rows) for rows in entries), sum(received)
+        self._entries = np.concatenate([*entries, np.zeros(1)]).astype(np.int32)
+        self._out, self._in = np.zeros((self._sent + 1, width)), np.zeros((self.count + 1, width))
+        self._sends = _parts(self._out, [len(rows) for rows in entries])
+        self._receives = _parts(self._in, received)
+
+    def compile(self) -> None:
+        """Compile the kernels, unless the state has them, by launching them on empty ranges."""
+        kernels = self._state.built(GhostKernels)
+        kernels.pack(0, self._entries, self._out, self._flags)
+        kernels.unpack(0, 0, self._in)
+
+    def update(self) -> None:
+        """Update the ghosts from their owners; keeps the flags of this rank for `agree`."""
+        kernels = self._state.built(GhostKernels)
+        kernels.pack(self._sent, self._entries, self._out, self._flags)
+        self._communicator.exchange_buffers(self._sends, self._receives)
+        if self.count:
+            kernels.unpack(self.count, self.first, self._in)
+
+    def agree(self, stop: bool) -> tuple[bool, bool]:
+        """Whether any rank requests a rebuild and a stop; an abort of one rank becomes that of all.
+
+        stop:  whether this rank requests a stop
+        """
+        control, flags = self._state.control, self._flags
+        flags[STOP] = int(stop)
+        agreed = self._communicator.largest_of(flags)
+        if agreed[ABORT]:
+            control.abort[0], control.abort_particle[0] = int(agreed[ABORT]), -int(agreed[PARTICLE])
+        return bool(agreed[REBUILD]), bool(agreed[STOP])
+
+    def read_abort(self) -> None:
+        """Read the abort of this rank for `agree`."""
+        control, flags = self._state.control, self._flags
+        flags[REBUILD], flags[ABORT], flags[PARTICLE] = 0, int(control.abort[0]), -NO_PARTICLE
+        if flags[ABORT]:
+            flags[PARTICLE] = -int(control.abort_particle[0])
+
+
+def _parts(buffer: np.ndarray, lengths: list[int]) -> list[tuple[int, np.ndarray]]:
+    """Rank and part of the buffer (sum of the lengths, width) for each rank with a length above 0."""
+    ends = np.cumsum([0, *lengths])
+    return [(rank, buffer[ends[rank] : ends[rank + 1]]) for rank, length in enumerate(lengths) if length]

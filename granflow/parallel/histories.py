@@ -1,0 +1,101 @@
+"""Contact histories by particle id, which migrate with the particles."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.engine.force.contact_output import candidate_pairs
+from granflow.engine.host_copy import FieldTable, consecutive
+from granflow.engine.neighbor.contact_history_entry import IN_CONTACT
+from granflow.engine.neighbor.history_transfer import vector_components
+from granflow.engine.state import State
+
+
+@dataclass(frozen=True)
+class Histories:
+    """Contact histories of n particles with m contacts, one particle after the other, as each particle sees them.
+
+    count:    (n,) number of contacts of each particle
+    partner:  (m,) int32, id of the other particle, or a negative number of a wall or triangle
+    values:   by slot of the contact models (m, components)
+    """
+
+    count: np.ndarray
+    partner: np.ndarray
+    values: dict[str, np.ndarray]
+
+    def of(self, rows: np.ndarray) -> "Histories":
+        """The histories of the particles with these indices (k,), in this order."""
+        count = self.count[rows]
+        entries = consecutive((np.cumsum(self.count) - self.count)[rows], count)
+        return Histories(count, self.partner[entries], {slot: each[entries] for slot, each in self.values.items()})
+
+
+def joined_histories(parts: list[Histories]) -> Histories:
+    """The histories of several parts, one part after the other."""
+    return Histories(
+        np.concatenate([part.count for part in parts]),
+        np.concatenate([part.partner for part in parts]),
+        {slot: np.concatenate([part.values[slot] for part in parts]) for slot in parts[0].values},
+    )
+
+
+class HistoryTable:
+    """Reads the histories of the owned particles from the neighbor lists, and writes them for the next lists."""
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+
+    def read(self, ids: np.ndarray, count: int) -> Histories:
+        """Histories of all contacts of the owned particles; both sides of a contact between two of them.
+
+        ids:    (k,) of the owned particles and the ghosts by index, at the time of the lists
+        count:  number of particles, of which those behind the owned ones have no contacts yet
+
+        A pair within a chunk is in one list only; for the other side vectors change their sign.
+        """
+        state = self._state
+        if not state.neighbors.history:
+            return Histories(np.zeros(count, np.int64), np.zeros(0, np.int32), {})
+        owner, list_index, partner = candidate_pairs(state)
+        touching = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
+        owner, partner = owner[touching], partner[touching]
+        values = state.built(_value_table).take(list_index[touching])
+        size = state.plan.chunk_size
+        listed_once = np.flatnonzero((partner >= 0) & (owner // size == partner // size))
+        row = np.concatenate([owner, partner[listed_once]])
+        by_row = np.argsort(row, kind="stable")
+        codes = np.concatenate([np.where(partner < 0, partner, ids[np.maximum(partner, 0)]), ids[owner[listed_once]]])
+        for slot, each in values.items():
+            mirrored = np.where(vector_components(state, slot), -1.0, 1.0).astype(each.dtype) * each[listed_once]
+            values[slot] = np.concatenate([each, mirrored])[by_row]
+        return Histories(np.bincount(row, minlength=count), codes[by_row].astype(np.int32), values)
+
+    def write(self, histories: Histories) -> None:
+        """Write the histories of the owned particles where the filling of the neighbor lists looks for them."""
+        state, end = self._state, np.cumsum(histories.count)
+        if not histories.values:
+            return
+        state.built(_range_table).put(np.arange(len(end)), {"begin": end - histories.count, "end": end})
+        entries = {"partner": histories.partner} | histories.values
+        state.built(_saved_table).put(np.arange(len(histories.partner)), entries)
+
+
+def _state_table(state: State) -> FieldTable:
+    """Table of the contact state of all list entries."""
+    return FieldTable({"in_contact": state.neighbors.in_contact})
+
+
+def _value_table(state: State) -> FieldTable:
+    """Table of the histories of all list entries."""
+    return FieldTable(dict(state.neighbors.history))
+
+
+def _range_table(state: State) -> FieldTable:
+    """Table of the ranges of the saved histories of each particle."""
+    return FieldTable({"begin": state.neighbors.list_begin_before, "end": state.neighbors.list_end_before})
+
+
+def _saved_table(state: State) -> FieldTable:
+    """Table of the saved histories and their partners."""
+    return FieldTable({"partner": state.neighbors.partner_saved} | state.neighbors.saved)

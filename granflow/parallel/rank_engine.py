@@ -1,0 +1,98 @@
+"""The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
+
+from collections.abc import Mapping
+from functools import wraps
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.backend import Backend
+from granflow.engine.diagnosis import diagnose
+from granflow.engine.engine import Engine
+from granflow.engine.host_copy import saved_particle_table
+from granflow.engine.limits import Diagnosis
+from granflow.engine.stepper import Stepper
+from granflow.fields import PARTICLE_QUANTITIES
+from granflow.parallel.communicator import Communicator
+from granflow.parallel.rank_stepper import RankStepper
+from granflow.plan.plan import Plan
+from granflow.plan.ranks import rank_plan
+from granflow.snapshot import Snapshot
+
+START, END = "start", "end"
+"""Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
+
+
+def _on_all_ranks(name: str) -> Any:
+    """The method of Engine with this name; on the root it lets all other ranks call it, too."""
+    inherited = getattr(Engine, name)
+
+    @wraps(inherited)
+    def call(self: "RankEngine", *arguments: Any) -> Any:
+        with self.communicator.commanding(name, arguments):
+            return inherited(self, *arguments)
+
+    return call
+
+
+class RankEngine(Engine):
+    """As `Engine`, for a part of the particles. On the root, arrays and totals are those of all particles.
+
+    plan:  of the complete scene
+    """
+
+    def __init__(self, plan: Plan, backend: Backend, communicator: Communicator) -> None:
+        self.communicator = communicator
+        with communicator.commanding(START):
+            super().__init__(rank_plan(plan, communicator.size), backend)
+            self.state.ranks = communicator
+            communicator.barrier()
+
+    insert = _on_all_ranks("insert")
+    set_walls = _on_all_ranks("set_walls")
+    set_stage = _on_all_ranks("set_stage")
+    refresh = _on_all_ranks("refresh")
+    advance = _on_all_ranks("advance")
+    snapshot = _on_all_ranks("snapshot")
+    observe = _on_all_ranks("observe")
+    copied = _on_all_ranks("copied")
+    synchronized = _on_all_ranks("synchronized")
+    mean_kinetic_energy = _on_all_ranks("mean_kinetic_energy")
+
+    def _new_stepper(self) -> Stepper:
+        return RankStepper(self.state, self.communicator, self._account_deleted)
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles of all ranks."""
+        return self.accounting.inserted_count - self.accounting.deleted_count
+
+    def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
+        """As `Engine`; the stability is checked on the root only, which has all particles."""
+        return super()._snapshot(stage, quantities, observed and self.communicator.is_root)
+
+    def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take a part of the particles; the next rebuild moves them to the ranks that own their positions."""
+        assert isinstance(self.stepper, RankStepper)
+        share = np.array_split(np.arange(len(arrays["id"])), self.communicator.size)[self.communicator.rank]
+        table, part = saved_particle_table(self.state), {}
+        for name, example in table.take(np.zeros(0, np.int32)).items():
+            values = arrays.get(name, PARTICLE_QUANTITIES[name].default)
+            values = np.broadcast_to(values, (len(arrays["id"]), *example.shape[1:]))
+            part[name] = values[share].astype(example.dtype)
+        self.stepper.pending.append(part)
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """Diagnosis of an aborted run; None if the run has not aborted."""
+        return self.rank_diagnosis() if self.stepper.abort_code else None
+
+    def rank_diagnosis(self) -> Diagnosis | None:
+        """Diagnosis on the root, computed by the rank of the particle; None on the other ranks."""
+        assert isinstance(self.stepper, RankStepper)
+        with self.communicator.commanding("rank_diagnosis"):
+            code, particle = self.stepper.abort_code, int(self.state.control.abort_particle[0])
+            found = None
+            if self.stepper.holds(particle):
+                found = diagnose(code, particle, self.state, self.time, self._started)
+            return next((each for each in self.communicator.to_root(found) if each is not None), None)

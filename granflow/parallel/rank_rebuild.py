@@ -1,0 +1,189 @@
+"""Neighbor-list rebuild of one MPI rank: migration, ghosts and neighbor lists.
+
+The particles, with their contact histories, pass through the host: sorting and selecting them takes a few steps' time.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from granflow.engine.engine import DELETED_FIELDS
+from granflow.engine.host_copy import saved_particle_table
+from granflow.engine.limits import ABORT_FAR
+from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.neighbor_list import TOO_LONG
+from granflow.engine.neighbor.rebuild import RebuildKernel
+from granflow.engine.ranks import Arrays
+from granflow.engine.state import BATCH, LANES, State
+from granflow.parallel.communicator import Communicator, joined
+from granflow.parallel.decomposition import Decomposition, bisected
+from granflow.parallel.ghosts import GhostExchange
+from granflow.parallel.histories import HistoryTable
+from granflow.parallel.owned import Owned, joined_owned
+from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS, list_capacity_for
+
+IMBALANCE = 1.1
+"""Largest over mean number of particles of a rank above which a rebuild decomposes space again."""
+
+UNUSED = -1
+"""Id of array entries that contain no particle."""
+
+
+class RankRebuild:
+    """Runs the rebuilds of one rank; all ranks rebuild together.
+
+    state:       device data of this rank
+    on_deleted:  receives the arrays DELETED_FIELDS of the particles of all ranks that are deleted
+    grow:        compiles all kernels again for arrays of larger capacities, (particles, list entries, longest list)
+
+    `pending`: particles that the next rebuild appends, all saved fields. `total_count`: particles of all ranks at the
+    last rebuild.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        communicator: Communicator,
+        on_deleted: Callable[[Arrays], None],
+        grow: Callable[[int, int, int], None],
+    ) -> None:
+        self._state, self._communicator, self._on_deleted, self._grow = state, communicator, on_deleted, grow
+        self.ghosts = GhostExchange(state, communicator)
+        self.pending: list[Arrays] = []
+        self.total_count = 0
+        self._histories = HistoryTable(state)
+        self._decomposition: Decomposition | None = None
+        self._ids: np.ndarray = np.zeros(0, np.int32)
+        self._deleted: set[int] = set()
+
+    def compile(self) -> None:
+        """Compile the kernel, unless the state has it, by launching it on an empty range."""
+        kernel = self._state.built(RebuildKernel)
+        kernel.launch(1, kernel.fill, 0, 0.0, 0.0, 0.0, 0)
+
+    def run(self, pose: int, workers: int) -> None:
+        """Delete and migrate particles, select ghosts, and fill the neighbor lists.
+
+        pose:     index of the wall poses at the time of the positions
+        workers:  number of workers of the launch
+        """
+        state = self._state
+        owned, deleted = self._without_deleted(self._taken())
+        owned = self._migrated(owned)
+        owned = owned.of(self._order(owned.arrays))
+        self._place(owned, self.ghosts.select(owned.arrays), deleted)
+        self._fill(pose, workers)
+        if int(state.control.abort[0]) == ABORT_FAR and state.count:
+            find_farthest(state)
+
+    def holds(self, particle: int) -> bool:
+        """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
+        return particle in self._ids[: self._state.count] or particle in self._deleted
+
+    def _taken(self) -> Owned:
+        """The particles of the device and the pending ones, in the periodic box."""
+        state, pending, self.pending = self._state, self.pending, []
+        arrays = joined([saved_particle_table(state).take(np.arange(state.count)), *pending])
+        self._wrap(arrays)
+        return Owned(arrays, self._histories.read(self._ids, len(arrays["id"])))
+
+    def _wrap(self, owned: Arrays) -> None:
+        """Move particles into the periodic box; integration has done so for all but pending ones."""
+        plan = self._state.plan
+        for axis in plan.periodic_box.axes:
+            low, width = plan.domain_low[axis], plan.domain_high[axis] - plan.domain_low[axis]
+            coordinate = owned["position"][:, axis]
+            owned["position"][:, axis] = coordinate - width * np.floor((coordinate - low) / width)
+
+    def _without_deleted(self, owned: Owned) -> tuple[Owned, Arrays]:
+        """The particles in the domain, and the others, as `engine.neighbor.deletion` decides without outlets."""
+        plan, position = self._state.plan, owned.arrays["position"]
+        expands = plan.domain.on_exit == "expand"
+        checked = [axis for axis in range(3) if not expands and axis not in plan.periodic_box.axes]
+        real = position.dtype
+        low, high = plan.domain_low.astype(real)[checked], plan.domain_high.astype(real)[checked]
+        stays = np.all((position[:, checked] >= low) & (position[:, checked] <= high), axis=1)
+        stays &= ~np.isnan(position).any(axis=1)
+        deleted = {name: values[~stays] for name, values in owned.arrays.items()}
+        names = [name for name in DELETED_FIELDS if name in deleted]
+        all_deleted = joined(self._communicator.from_each({name: deleted[name] for name in names}))
+        if len(all_deleted["id"]):
+            self._on_deleted(all_deleted)
+        return (owned if stays.all() else owned.of(np.flatnonzero(stays))), deleted
+
+    def _migrated(self, owned: Owned) -> Owned:
+        """The particles that this rank owns from now on."""
+        communicator, position = self._communicator, owned.arrays["position"].astype(float)
+        counts = np.array(communicator.from_each(len(position)))
+        self.total_count = int(counts.sum())
+        if self._decomposition is None or counts.max() > IMBALANCE * counts.mean():
+            self._decomposition = bisected(communicator, position)
+        to_rank = self._decomposition.owners(position)
+        parts = [owned.of(np.flatnonzero(to_rank == rank)) for rank in range(communicator.size)]
+        return joined_owned(communicator.exchanged(parts))
+
+    def _order(self, owned: Arrays) -> np.ndarray:
+        """Order of the particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact."""
+        plan, position = self._state.plan, owned["position"].astype(float)
+        if not len(position):
+            return np.zeros(0, np.int64)
+        cell = ((position - position.min(axis=0)) / (2.0 * plan.radius_max + plan.skin)).astype(np.int64)
+        block, inside = np.divmod(cell, BLOCK_SIDE)
+        keys = (owned["id"], *inside.T, *block.T)
+        return np.lexsort(keys)
+
+    def _place(self, owned: Owned, ghosts: Arrays, deleted: Arrays) -> None:
+        """Write owned particles, their histories and ghosts to the device.
+
+        Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are behind the
+        ghosts, for the diagnosis of an abort.
+        """
+        state, count = self._state, len(owned.arrays["id"])
+        first = -(-count // state.plan.chunk_size) * state.plan.chunk_size
+        end = first + len(ghosts["id"])
+        self._grow_arrays(end + len(deleted["id"]), len(owned.histories.partner))
+        state.count, self.ghosts.first = count, first
+        state.cell_sort.owned_count[0], state.cell_sort.ghost_first[0] = count, first
+        gap = np.full(first - count, count - 1)
+        between = {name: values[gap] for name, values in owned.arrays.items()}
+        between["id"] = np.full(len(gap), UNUSED, np.int32)
+        arrays = joined([owned.arrays, between, ghosts, deleted])
+        saved_particle_table(state).put(np.arange(len(arrays["id"])), arrays)
+        self._histories.write(owned.histories)
+        self._ids, self._deleted = arrays["id"][:end], set(deleted["id"].tolist())
+
+    def _grow_arrays(self, particles: int, histories: int) -> None:
+        """Increase the capacities of all ranks if one of them has more particles or histories than fit."""
+        capacities = self._state.capacities
+        per_chunk = -(-histories // capacities.chunk_count)
+        particles, per_chunk = self._communicator.largest_of(np.array([particles, per_chunk])).tolist()
+        more_particles = particles > self._state.plan.capacities.particles
+        more_histories = per_chunk > capacities.saved_entries_per_chunk
+        if more_particles or more_histories:
+            entries = list_capacity_for(per_chunk) if more_histories else 0
+            self._grow(int(GROWTH_FACTOR * particles) if more_particles else 0, entries, 0)
+
+    def _fill(self, pose: int, workers: int) -> None:
+        """Fill the neighbor lists; again after they have grown on all ranks, if one of them is too short."""
+        state = self._state
+        while True:
+            kernel, step, needed = state.built(RebuildKernel), state.clock.time_step, 0
+            control = state.control
+            if state.count:
+                end = self.ghosts.first + self.ghosts.count
+                kernel.launch(workers, 0, end, state.plan.skin, REACH_STEPS * step, step, pose)
+                needed = int(control.list_length_needed[0])
+            control.rebuild_due[0] = control.rebuild_requested[0] = 0
+            too_long, length = divmod(needed, TOO_LONG)
+            length, longest = self._communicator.largest_of(np.array([length, length * min(too_long, 1)])).tolist()
+            if length <= state.capacities.list_entries_per_chunk and not longest:
+                return
+            self._grow(0, length, longest and longest + BATCH + LANES)
+
+
+def grown_plan_capacity(state: State, particles: int) -> None:
+    """Let the state have at least this number of particles at its next reallocation."""
+    if particles > state.plan.particle_capacity:
+        state.plan = replace(state.plan, particle_capacity=particles)

@@ -1,0 +1,132 @@
+"""Time steps of one MPI rank: integration, exchange of ghosts, rebuild if any rank requests it, contact forces."""
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import replace
+
+from granflow.engine.force.external_forces import write_force_inputs
+from granflow.engine.ranks import Arrays
+from granflow.engine.state import State
+from granflow.engine.stepper import Stepper
+from granflow.parallel.communicator import Communicator
+from granflow.parallel.rank_rebuild import RankRebuild, grown_plan_capacity
+from granflow.plan.capacities import WALL_BATCH
+
+
+class RankStepper(Stepper):
+    """As `Stepper`, for the particles of one rank; all ranks call each function together.
+
+    Each phase of a step is a separate launch. The ranks agree on rebuilds, aborts and stops after the integration and
+    after the forces, so that all of them take the same steps.
+    """
+
+    def __init__(self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]) -> None:
+        self._requested = self._agreed = False
+        self._rank_rebuild = RankRebuild(state, communicator, on_deleted, self._grow_capacities)
+        super().__init__(state, lambda _first, _last: None)
+
+    @property
+    def pending(self) -> list[Arrays]:
+        """Particles that the next rebuild appends, all saved fields."""
+        return self._rank_rebuild.pending
+
+    def holds(self, particle: int) -> bool:
+        """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
+        return self._rank_rebuild.holds(particle)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether all ranks stop; a request of one rank takes effect when they have agreed on it."""
+        return self._agreed
+
+    @interrupted.setter
+    def interrupted(self, requested: bool) -> None:
+        self._requested = requested
+
+    def _compile(self) -> None:
+        super()._compile()
+        began = clock.perf_counter()
+        self._rank_rebuild.ghosts.compile()
+        self.timing.compile += clock.perf_counter() - began
+
+    def rebuild_neighbor_lists(self, pose: int = 0) -> None:
+        """Migrate particles, select ghosts, and fill the neighbor lists; see `RankRebuild`."""
+        began, compiled = clock.perf_counter(), self.timing.compile
+        self._prepare_workers()
+        self._rank_rebuild.run(pose, self._workers.count)
+        self.steps_since_rebuild = 0
+        self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
+        self.timing.rebuild_count += 1
+
+    def _grow_capacities(self, particles: int, needed: int, longest: int) -> None:
+        """Increase the arrays to at least these capacities, and build all kernels again."""
+        state, self.timing.growth_count = self.state, self.timing.growth_count + 1
+        grown_plan_capacity(state, particles)
+        capacities = state.capacities.grown(max(needed, state.capacities.list_entries_per_chunk), longest)
+        if particles:
+            planned = state.plan.capacities
+            lists = max(planned.list_entries, planned.chunk_count * capacities.list_entries_per_chunk)
+            capacities = replace(planned, list_entries=lists, batch=capacities.batch)
+        state.grow_neighbor_list(capacities, self._compile)
+
+    def forces(self, pose: int = 0, history_step: float | None = None) -> None:
+        """As `Stepper.forces`; an abort of one rank becomes that of all."""
+        super().forces(pose, history_step)
+        self._rank_rebuild.ghosts.read_abort()
+        self._agree()
+
+    def _agree(self) -> bool:
+        """Whether any rank requests a rebuild; also agrees on an abort and a stop."""
+        rebuild, self._agreed = self._rank_rebuild.ghosts.agree(self._requested)
+        return rebuild
+
+    def _advance_batch(self, steps: int, step: int) -> int:
+        """Take one step; returns the number of completed steps, 0 after an abort."""
+        state, plan = self.state, self.state.plan
+        self._prepare_workers()
+        self._request_rebuild_for_walls(step)
+        state.control.steps_done[0] = 0
+        began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
+        write_force_inputs(state, step + 1)
+        self._launch_step(1, self._pose, state.clock.time_step, forcing=0)
+        integrated = clock.perf_counter()
+        self._rank_rebuild.ghosts.update()
+        is_due = self._agree()
+        exchanged = clock.perf_counter()
+        done = 0 if self.abort_code else self._finish_step(is_due, step)
+        if plan.has_poses:
+            self._pose += done
+        self.timing.sampled_integration += integrated - began
+        self.timing.exchange += exchanged - integrated
+        self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
+        self.timing.step_count += done
+        self.timing.particle_steps += done * self._rank_rebuild.total_count
+        return done
+
+    def _request_rebuild_for_walls(self, step: int) -> None:
+        """Upload the poses of the walls if necessary, and request a rebuild if a wall may have moved too far."""
+        if not self.state.plan.has_poses:
+            return
+        if self._steps_to_displacement_limit() < 1:
+            self.state.control.rebuild_requested[0] = 1
+        if self._pose == WALL_BATCH:
+            self._upload(step + 1)
+            self._pose = 0
+
+    def _finish_step(self, is_due: bool, step: int) -> int:
+        """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1."""
+        if is_due:
+            self.rebuild_neighbor_lists(self._pose)
+            write_force_inputs(self.state, step + 1)
+        began = clock.perf_counter()
+        self._launch_step(1, self._pose, self.state.clock.time_step, moving=0)
+        computed = clock.perf_counter()
+        self._rank_rebuild.ghosts.read_abort()
+        self._agree()
+        self.timing.sampled_forces += computed - began
+        self.timing.exchange += clock.perf_counter() - computed
+        if self.abort_code:
+            return 0
+        if not is_due:
+            self.steps_since_rebuild += 1
+        return 1

@@ -1,0 +1,169 @@
+"""The end of a run before its last stage: Ctrl-C, StopRun, requests, and what is refused afterwards."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+
+import granflow as gf
+from granflow.engine import backend
+from granflow.io.checkpoint import checkpoint_at
+
+ARRAYS = ("position", "velocity", "angular_velocity")
+
+
+@pytest.fixture
+def default_interrupt():
+    """SIGINT as in a terminal; in a background process it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def scene():
+    """Two particles that bounce on a floor."""
+    beads = particle_group([[0.0, 0.0, 0.0052], [0.02, 0.0, 0.006]], velocity=[[0.1, 0.0, -0.5], [0.0, 0.1, -0.5]])
+    return build_scene(
+        {"beads": beads}, {"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"friction": 0.3}, gravity=[0.0, 0.0, -9.81],
+        run={"duration": 0.004, "velocity_max": 1.0},
+    )  # fmt: skip
+
+
+def interrupt_at(time):
+    """An observer that sends Ctrl-C once at a simulated time [s]."""
+    pending = [time]
+
+    def interrupt(snapshot):
+        if pending and snapshot.time >= pending[0]:
+            pending.clear()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return gf.on_interval(2e-4, interrupt, ("walls",))
+
+
+def test_ctrl_c_writes_a_checkpoint_from_which_the_run_continues_with_the_same_bits(
+    taichi_f64, tmp_path, default_interrupt
+):
+    with gf.Simulation(scene()) as simulation:
+        simulation.run()
+        expected = simulation.snapshot().particles
+    with (
+        pytest.raises(KeyboardInterrupt),
+        gf.Simulation(scene(), out=tmp_path / "run", observers=[interrupt_at(0.002)]) as simulation,
+    ):
+        simulation.run()
+    assert 0.002 <= checkpoint_at(tmp_path / "run").time < 0.0022
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with gf.Simulation(
+        scene(), resume=tmp_path / "run", out=tmp_path / "run", observers=[interrupt_at(1.0)]
+    ) as simulation:
+        simulation.run()
+        found = simulation.snapshot().particles
+    for name in ARRAYS:
+        np.testing.assert_array_equal(found[name], expected[name])
+
+
+def test_after_ctrl_c_a_run_without_files_continues_and_one_with_files_names_the_reason(
+    taichi_f64, tmp_path, default_interrupt
+):
+    with gf.Simulation(scene(), observers=[interrupt_at(0.001)]) as simulation:
+        with pytest.raises(KeyboardInterrupt):
+            simulation.run()
+        simulation.run()
+        assert simulation.time == pytest.approx(0.004, abs=simulation.time_step)
+    with gf.Simulation(scene(), out=tmp_path / "run", observers=[interrupt_at(0.001)]) as simulation:
+        with pytest.raises(KeyboardInterrupt):
+            simulation.run()
+        with pytest.raises(gf.GranflowError, match=r"KeyboardInterrupt has ended the run in .*checkpoint, at 0.001"):
+            simulation.save()
+
+
+def test_is_stopped_says_whether_an_observer_ended_the_last_call(taichi_f64):
+    stops = [0.001]
+
+    def stop(snapshot):
+        if stops and snapshot.time > stops[0]:
+            stops.clear()
+            raise gf.StopRun
+
+    with gf.Simulation(scene(), observers=[gf.on_interval(1e-4, stop, ("walls",))]) as simulation:
+        simulation.step(3)
+        assert not simulation.is_stopped
+        simulation.run()
+        assert simulation.is_stopped
+        simulation.run(until=0.002)
+        assert simulation.time == pytest.approx(0.002, abs=simulation.time_step)
+        assert not simulation.is_stopped
+
+
+def test_arguments_that_cannot_be_meant_are_refused(taichi_f64):
+    with gf.Simulation(scene()) as simulation:
+        simulation.run(until=0.001)
+        simulation.run(until=simulation.time)
+        with pytest.raises(ValueError, match=r"until is 0.0005 s, but the simulation is at 0.00100372 s"):
+            simulation.run(until=0.0005)
+        with pytest.raises(TypeError, match="request_stop takes an exception, such as KeyboardInterrupt"):
+            simulation.request_stop("stop")
+        with pytest.raises(gf.GranflowError, match="save needs an output directory"):
+            simulation.save()
+        simulation.walls["floor"].remove()
+        with pytest.raises(gf.GranflowError, match=r"walls\['floor'\] was removed at 0.00100372 s: it cannot move"):
+            simulation.walls["floor"].motion = gf.Translation(velocity=[0, 0, 1])
+        with pytest.raises(gf.GranflowError, match=r"position has the shape \(3, 5\), .* its transpose, position.T"):
+            simulation.particles.add(position=np.zeros((3, 5)))
+
+
+def test_a_material_of_several_groups_does_not_choose_one(taichi_f64):
+    groups = {name: particle_group([[x, 0.0, 0.01]]) for name, x in (("left", 0.0), ("right", 0.02))}
+    with gf.Simulation(build_scene(groups)) as simulation:
+        with pytest.raises(gf.GranflowError, match="group is missing: left, right are of glass"):
+            simulation.particles.add(position=[0.0, 0.0, 0.03], material="glass")
+        simulation.particles.add(position=[0.0, 0.0, 0.03], material="glass", group="right")
+        assert list(simulation.particles.group) == ["left", "right", "right"]
+
+
+def test_missing_checkpoints_have_their_own_messages(tmp_path):
+    with pytest.raises(gf.GranflowError, match="none: there is no such file or directory; give a checkpoint or the"):
+        checkpoint_at(tmp_path / "none")
+    with pytest.raises(gf.GranflowError, match="contains no usable checkpoint: a run writes them at its end"):
+        checkpoint_at(tmp_path)
+
+
+def test_the_message_on_a_second_start_contains_the_threads(taichi_f64):
+    with pytest.raises(gf.GranflowError, match="on cpu with f64 and 2 threads; start cpu with f64 and 3 threads in a"):
+        backend.start("cpu", "f64", 3)
+
+
+def test_dictionary_of_a_scene_gives_an_equal_one():
+    first = gf.load_scene(Path(__file__).parents[2] / "scenes" / "hopper.yaml")
+    second = gf.Scene.from_dict(first.to_dict(), first.folder)
+    assert second == first
+    assert second.to_dict() == first.to_dict()
+
+
+def test_problems_of_data_do_not_repeat_the_key():
+    assert gf.SceneError("run.time_step: run.time_step is 1 s.").problems == ("run.time_step is 1 s.",)
+    assert gf.SceneError("a.yaml:3:1: run.duration is 0.").problems == ("a.yaml:3:1: run.duration is 0.",)
+
+
+def test_an_earlier_run_is_replaced_only_on_request(taichi_f64, tmp_path):
+    gf.Simulation(scene(), out=tmp_path).run()
+    before = (tmp_path / "timeseries.csv").read_bytes()
+    with pytest.raises(gf.GranflowError, match="contains an earlier run: give another directory, replace the run with"):
+        gf.Simulation(scene(), out=tmp_path)
+    assert (tmp_path / "timeseries.csv").read_bytes() == before
+    with gf.Simulation(scene(), out=tmp_path, overwrite=True) as simulation:
+        simulation.run(until=0.001)
+    assert gf.read_run(tmp_path).time < 0.0011
+
+
+def test_a_run_that_is_closed_early_is_unfinished(taichi_f64, tmp_path):
+    with gf.Simulation(scene(), out=tmp_path) as simulation:
+        simulation.run(until=0.001)
+    assert gf.read_run(tmp_path).status == "unfinished"
+    with gf.Simulation(scene(), out=tmp_path, resume=tmp_path) as simulation:
+        simulation.run()
+    assert gf.read_run(tmp_path).status == "complete"

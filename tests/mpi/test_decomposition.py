@@ -1,0 +1,64 @@
+"""Recursive coordinate bisection, and the selection of ghosts, in one process."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from granflow.parallel.decomposition import bisected
+from granflow.parallel.ghosts import box_of, within
+
+
+class AllParticles:
+    """A communicator of a rank that has all particles, with a number of ranks to which they are distributed."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def sums(self, values):
+        return values
+
+    largest_of = sums
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 3, 5, 8])
+def test_each_rank_has_an_equal_number_of_particles(ranks):
+    position = np.random.default_rng(1).normal(size=(1000, 3)) * [3.0, 1.0, 0.2]
+    counts = np.bincount(bisected(AllParticles(ranks), position).owners(position), minlength=ranks)
+    assert len(counts) == ranks
+    assert np.ptp(counts) <= 2
+
+
+def test_parts_are_cut_across_their_longest_side():
+    position = np.random.default_rng(2).random((1000, 3)) * [1.0, 5.0, 2.0]
+    owner = bisected(AllParticles(2), position).owners(position)
+    assert position[owner == 0, 1].max() < position[owner == 1, 1].min()
+
+
+def test_particles_outside_the_bed_have_an_owner():
+    position = np.random.default_rng(3).random((100, 3))
+    owners = bisected(AllParticles(4), position).owners(np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0]]))
+    assert set(owners) <= {0, 1, 2, 3}
+
+
+def test_without_particles_one_rank_owns_all_that_come_later():
+    owners = bisected(AllParticles(3), np.zeros((0, 3))).owners(np.random.default_rng(4).random((10, 3)))
+    assert set(owners) <= {0, 1, 2}
+
+
+@pytest.mark.parametrize("axes", [(), (0,), (0, 1, 2)])
+def test_ghosts_contain_all_pairs_within_reach(axes):
+    rng, width = np.random.default_rng(5), np.array([1.0, 0.8, 0.6])
+    position, reach = rng.random((600, 3)) * width, rng.uniform(0.02, 0.06, 600)
+    plan = SimpleNamespace(
+        periodic_box=SimpleNamespace(axes=axes),
+        domain_low=np.zeros(3), domain_high=width, laws=SimpleNamespace(range=0.01),
+    )  # fmt: skip
+    own, other = position[:, 0] < 0.3, position[:, 0] >= 0.3
+    ghosts = within(SimpleNamespace(plan=plan), box_of(position[own], reach[own]), position[other], reach[other])
+    branch = position[other][:, None] - position[own][None]
+    for axis in axes:
+        branch[..., axis] -= width[axis] * np.round(branch[..., axis] / width[axis])
+    needed = np.linalg.norm(branch, axis=2) < reach[other][:, None] + reach[own][None] + 0.01
+    assert set(np.flatnonzero(needed.any(axis=1))) <= set(ghosts)
+    assert len(ghosts) < 0.9 * other.sum()

@@ -1,0 +1,162 @@
+"""One scene on several MPI ranks: the same bits as without MPI, and the end of all ranks after a failure of one."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+import rank_launcher
+from rank_launcher import alone, environment, on_ranks
+from scene_builders import box, build_scene, particle_group
+
+pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
+
+PROGRAM = Path(__file__).parent.parent / "rank_runs.py"
+LONGEST_END = 10.0
+"""Time [s] in which a failure of one rank must end all ranks."""
+
+
+def state_of(folder, scene, ranks=0, kind="ranks"):
+    """Arrays of the last state of a scene of `rank_runs`, without MPI or on a number of ranks; `kind` as there."""
+    path = folder / f"{scene}_{ranks}.npz"
+    options = (PROGRAM, scene, path, kind if ranks else "alone")
+    done = on_ranks(ranks, *options) if ranks else alone(*options)
+    assert done.returncode == 0, done.stderr[-3000:]
+    with np.load(path) as arrays:
+        return dict(arrays)
+
+
+def assert_same_bits(expected, found):
+    """Assert that a run on ranks has the arrays of one without MPI.
+
+    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, and the number of
+    reallocations.
+    """
+    migrations, growths = found.pop("migrations"), found.pop("growths")
+    assert found.keys() == expected.keys()
+    different = [name for name, values in expected.items() if not np.array_equal(values, found[name])]
+    assert not different
+    return migrations, growths
+
+
+def test_two_ranks_give_the_bits_of_a_run_without_mpi(tmp_path):
+    expected, found = state_of(tmp_path, "short"), state_of(tmp_path, "short", 2)
+    migrations, _ = assert_same_bits(expected, found)
+    assert expected["rebuilds"] >= 5
+    assert len(expected["history.pairs"].T) > 40
+    assert (migrations.sum(axis=0) > 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["hertz", "zhou"])
+def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene):
+    expected = state_of(tmp_path, scene)
+    assert expected["steps"] == 3000
+    assert expected["rebuilds"] >= 10
+    for ranks in (1, 2, 3, 4):
+        migrations, _ = assert_same_bits(expected, state_of(tmp_path, scene, ranks))
+        if ranks > 1:
+            assert (migrations.sum(axis=0) > 0).all(), "each rank receives particles"
+            assert (migrations.sum(axis=1) > 0).all(), "each rank sends particles"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["dashpots", "springs", "inserted", "periodic", "wide_sizes", "mixed", "f32"])
+def test_features_have_the_same_bits_on_three_ranks(tmp_path, scene):
+    assert_same_bits(state_of(tmp_path, scene), state_of(tmp_path, scene, 3))
+
+
+@pytest.mark.slow
+def test_arrays_grow_on_all_ranks(tmp_path):
+    _, growths = assert_same_bits(state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small"))
+    assert growths >= 2, "for particles and for neighbor lists"
+
+
+def test_an_exception_in_one_rank_ends_all(tmp_path):
+    began = time.monotonic()
+    done = on_ranks(2, PROGRAM, "zhou", tmp_path / "none.npz", "failing", seconds=120)
+    assert done.returncode != 0
+    assert "rank 1 failed, which ends all ranks" in done.stderr
+    assert "a fault of this test" in done.stderr
+    assert time.monotonic() - began < 100.0
+    assert not (tmp_path / "none.npz").exists()
+
+
+def small_scene(folder, **changes):
+    """File of a scene with two particles that collide."""
+    groups = {"pair": particle_group([[0.0, 0.0, 0.0], [0.0, 0.0, 0.011]], velocity=[[0.0] * 3, [0.0, 0.0, -1.0]])}
+    scene = build_scene(groups, **({"run": {"duration": 0.002}, "output": {"interval": 0.001}} | changes))
+    return scene.save(folder / "scene.yaml")
+
+
+def run_on_ranks(ranks, *arguments):
+    """The completed process of `granflow` on ranks."""
+    return on_ranks(ranks, "-m", "granflow", *arguments)
+
+
+def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
+    scene = small_scene(tmp_path)
+    one = alone("-m", "granflow", "run", scene, "--out", tmp_path / "one")
+    two = run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "two")
+    assert (one.returncode, two.returncode) == (0, 0), two.stderr[-2000:]
+    names = sorted(path.name for path in (tmp_path / "one").iterdir() if path.suffix in (".vtu", ".pvd", ".csv"))
+    assert "particles_0002.vtu" in names
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+NARROW = {"min": [-1.0, -1.0, -1e-4], "max": [1.0] * 3, "on_exit": "error"}
+
+
+@pytest.mark.parametrize(
+    "changes", [{"numerics": {"max_overlap": 1e-5}}, {"domain": NARROW, "run": {"duration": 0.02}}]
+)
+def test_an_abort_has_the_message_of_a_run_without_mpi(tmp_path, changes):
+    scene = small_scene(tmp_path, **changes)
+    one = alone("-m", "granflow", "run", scene, "--out", tmp_path / "one")
+    two = run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "two")
+    stopped = [[line for line in each.stderr.splitlines() if "Stopped:" in line] for each in (one, two)]
+    assert len(stopped[0]) == 1
+    assert stopped[0][0].replace("one.", "two.") == stopped[1][0]
+    assert one.returncode == two.returncode == 3
+
+
+def test_mpirun_without_the_flag_is_refused(tmp_path):
+    done = run_on_ranks(2, "run", small_scene(tmp_path), "--out", tmp_path / "out")
+    assert done.returncode != 0
+    assert "mpirun has started 2 processes that would all run the whole scene: add --mpi" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_invalid_scene_is_reported_once(tmp_path):
+    done = run_on_ranks(2, "run", small_scene(tmp_path, run={"duration": 0.002, "time_step": "adaptive"}), "--mpi")
+    assert done.returncode != 0
+    assert done.stderr.count("run.time_step adaptive does not work with --mpi") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_rank_ends_all_within_seconds(tmp_path, number):
+    walls, positions = box(0.1), 0.012 * (np.argwhere(np.ones((8, 8, 8))) + 0.5)
+    scene = build_scene({"bed": particle_group(positions)}, walls, gravity=[0.0, 0.0, -9.81], run={"duration": 50.0})
+    command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, "-m", "granflow", "run", "--mpi"]
+    command += [str(scene.save(tmp_path / "scene.yaml")), "--out", str(tmp_path / "out")]
+    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as launcher:
+        while not (tmp_path / "out" / "particles_0000.vtu").exists():
+            assert launcher.poll() is None
+            time.sleep(0.1)
+        ranks = [each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()]
+        assert len(ranks) == 2
+        began = time.monotonic()
+        if number == signal.SIGKILL:
+            os.kill(ranks[-1].pid, number)
+        else:
+            launcher.send_signal(number)
+        launcher.wait(timeout=60)
+        assert time.monotonic() - began < LONGEST_END
+        assert not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in ranks)

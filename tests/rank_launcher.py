@@ -1,0 +1,44 @@
+"""Starts programs on MPI ranks, with the mpirun of a PyPI wheel in this environment or of the system."""
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+
+ROOT = Path(__file__).parent.parent
+WHEEL_MPIRUN = Path(sys.executable).parent / "mpirun"
+MPIRUN = str(WHEEL_MPIRUN) if WHEEL_MPIRUN.exists() else which("mpirun")
+
+MISSING = ""
+"""Why ranks cannot be started; empty if they can."""
+if find_spec("mpi4py") is None:
+    MISSING = "needs mpi4py: pip install 'granflow[mpi]'"
+elif MPIRUN is None:
+    MISSING = "needs mpirun: pip install mpich"
+
+OPEN_MPI = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+}
+"""Variables with which Open MPI starts more ranks than cores, also for root in a container."""
+
+
+def environment():
+    """Variables of programs on ranks: this source, and those for Open MPI."""
+    return os.environ | OPEN_MPI | {"PYTHONPATH": str(ROOT)}
+
+
+def on_ranks(ranks, *arguments, seconds=250):
+    """The completed process of `mpirun -n ranks python arguments`; stdout and stderr are text."""
+    command = [MPIRUN, "-n", str(ranks), sys.executable, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment())
+
+
+def alone(*arguments, seconds=250):
+    """The completed process of `python arguments`."""
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment())

@@ -1,0 +1,206 @@
+"""Runs a scene of this module and writes its last state as npz: alone, or on the ranks of mpirun.
+
+python rank_runs.py SCENE FILE alone|ranks|small|failing
+
+small: with arrays that must grow; failing: with a fault in all ranks but the root
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from scene_builders import DASHPOTS, SPRINGS, box, build_scene, particle_group  # noqa: E402
+
+from granflow import simulation as simulation_module  # noqa: E402
+from granflow.engine.backend import start  # noqa: E402
+from granflow.engine.engine import Engine  # noqa: E402
+from granflow.engine.host_copy import copy_to_host  # noqa: E402
+from granflow.parallel import decomposition, rank_rebuild  # noqa: E402
+from granflow.parallel.communicator import Communicator  # noqa: E402
+from granflow.parallel.decomposition import Decomposition  # noqa: E402
+from granflow.parallel.histories import HistoryTable  # noqa: E402
+from granflow.parallel.rank_engine import RankEngine  # noqa: E402
+from granflow.parallel.serve import controlling, serve  # noqa: E402
+from granflow.plan import plan as plan_module  # noqa: E402
+from granflow.plan import ranks  # noqa: E402
+from granflow.plan.build import plan_for  # noqa: E402
+from granflow.simulation import Simulation  # noqa: E402
+
+TIME_STEP = 2e-6
+FAILING_STEP = 60
+
+
+def bed(steps=300, groups=None, **changes):
+    """216 particles with velocities in all directions in a box with a vibrating floor, in chunks of 32."""
+    walls = box(0.042)
+    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    rng = np.random.default_rng(4)
+    positions = 0.0065 * (np.argwhere(np.ones((6, 6, 6))) + 0.75)
+    lattice = particle_group(
+        positions, rng.uniform(0.004, 0.0062, len(positions)), velocity=rng.normal(0.0, 1.0, positions.shape)
+    )
+    parts = {
+        "normal": "zhou",
+        "rolling": "epsd",
+        "gravity": [0.0, 3.0, -9.81],
+        "numerics": {"chunk_size": 32, "skin": 2e-4},
+        "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
+        "output": {"interval": 1.0, "energy_budget": True, "wall_forces": True, "walls": False},
+        "run": {"duration": steps * TIME_STEP, "velocity_max": 4.0, "time_step": TIME_STEP},
+        "walls": walls,
+    }
+    return build_scene({"lattice": lattice} | (groups or {}), **(parts | changes))
+
+
+def models(given):
+    """The bed with other contact models, in 1000 steps."""
+    return bed(1000, numerics={"chunk_size": 32, "max_overlap": 0.4}, **given)
+
+
+def inserted():
+    """The bed with rain, a wall that appears, and a particle that leaves the domain."""
+    region = {"box": {"min": [0.005, 0.005, 0.042], "max": [0.037, 0.037, 0.06]}}
+    rain = {"material": "glass", "count": 40, "diameter": 0.004,
+            "insert": {"kind": "rain", "region": region, "rate": 20000.0}}  # fmt: skip
+    walls = box(0.042)
+    del walls["high_z"]
+    walls["low_x"]["appears_at"] = 1e-3
+    domain = {"min": [-0.001, -0.01, -0.01], "max": [0.05, 0.05, 0.07], "on_exit": "delete"}
+    return bed(1500, {"rain": rain}, walls=walls, domain=domain)
+
+
+def periodic():
+    """The bed without side walls in a box that is periodic along x and y."""
+    walls = {name: wall for name, wall in box(0.042).items() if name.endswith("z")}
+    domain = {"min": [0.0, 0.0, -0.01], "max": [0.042, 0.042, 0.05], "periodic": ["x", "y"], "on_exit": "error"}
+    return bed(1500, walls=walls, domain=domain)
+
+
+def wide_sizes():
+    """The bed with a particle of five times the diameter above it: size classes with separate grids."""
+    walls = box(0.042)
+    del walls["high_z"]
+    large = particle_group([[0.02, 0.02, 0.06]], 0.03, velocity=[0.0, 0.0, -2.0])
+    return bed(1500, {"large": large}, walls=walls)
+
+
+def in_precision(precision):
+    """The bed in another precision, in 1500 steps."""
+    duration = 1500 * TIME_STEP
+    return bed(
+        run={"duration": duration, "velocity_max": 4.0, "time_step": TIME_STEP, "precision": precision},
+        numerics={"chunk_size": 32, "max_overlap": 0.3},
+    )
+
+
+SCENES = {
+    "short": bed,
+    "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
+    "hertz": lambda: bed(3000, normal="hertz"),
+    "zhou": lambda: bed(3000),
+    "dashpots": lambda: models(DASHPOTS),
+    "springs": lambda: models(SPRINGS),
+    "inserted": inserted,
+    "periodic": periodic,
+    "wide_sizes": wide_sizes,
+    "mixed": lambda: in_precision("mixed"),
+    "f32": lambda: in_precision("f32"),
+}
+
+
+def main(name, path, kind):
+    scene = SCENES[name]()
+    if kind == "alone":
+        return save(path, Simulation(scene, threads=1))
+    if kind == "small":
+        plan_module.MIN_PARTICLES = plan_module.MIN_LIST_ENTRIES = 64
+        plan_module.neighbors_per_particle = lambda _count, _skin: 0.5
+        ranks.BALANCE, ranks.GHOST_LAYERS = 0.1, 0.0
+    communicator = Communicator()
+    Recorded.rank_here = communicator.rank
+    rank_rebuild.Decomposition = decomposition.Decomposition = Recorded
+    simulation_module.RankEngine = ObservedEngine
+    if communicator.is_root:
+        with controlling(communicator):
+            save(path, Simulation(scene, threads=1, communicator=communicator))
+    else:
+        engine = failing_engine() if kind == "failing" else ObservedEngine
+        serve(communicator, lambda: engine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator))
+
+
+def failing_engine():
+    """The class of an engine that fails within a command."""
+
+    class FailingEngine(RankEngine):
+        def advance(self, steps):
+            if self.step_count >= FAILING_STEP:
+                raise ArithmeticError("a fault of this test")
+            Engine.advance(self, steps)
+
+    return FailingEngine
+
+
+def save(path, simulation):
+    """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
+    simulation.run()
+    last, engine = simulation.snapshot(), simulation.engine
+    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "totals", "impulses")
+              for name, value in getattr(last, kind).items()}  # fmt: skip
+    counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
+    if isinstance(engine, ObservedEngine):
+        counts["growths"] = engine.timing.growth_count
+    np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
+    simulation.free()
+
+
+def histories(engine):
+    """Contact histories of all particles, ordered by the ids of owner and partner."""
+    if isinstance(engine, ObservedEngine):
+        return engine.histories()
+    return sorted_histories([with_owners(engine.state, copy_to_host(engine.state, ("id",))["id"])])
+
+
+def with_owners(state, ids):
+    """Ids of the owners of all contacts of a rank, and the histories."""
+    found = HistoryTable(state).read(ids, state.count)
+    return np.repeat(ids[: state.count], found.count), found
+
+
+def sorted_histories(pairs):
+    """Arrays of the histories of several ranks, each with the ids of the owners."""
+    owner, parts = np.concatenate([ids for ids, _ in pairs]), [part for _, part in pairs]
+    partner = np.concatenate([part.partner for part in parts])
+    order = np.lexsort((partner, owner))
+    values = {slot: np.concatenate([part.values[slot] for part in parts])[order] for slot in parts[0].values}
+    return {"history.pairs": np.stack([owner, partner])[:, order], **{f"history.{k}": v for k, v in values.items()}}
+
+
+class ObservedEngine(RankEngine):
+    """An engine whose root also returns the contact histories of all ranks and the numbers of migrations."""
+
+    def histories(self):
+        with self.communicator.commanding("histories"):
+            rebuild = self.stepper._rank_rebuild
+            parts = self.communicator.to_root(with_owners(self.state, rebuild._ids))
+            sent = self.communicator.to_root(sum(Recorded.sent[1:]))
+        return sorted_histories(parts) | {"migrations": np.array(sent)} if parts else {}
+
+
+class Recorded(Decomposition):
+    """A decomposition that records how many particles each rebuild sends to each rank, 0 for the own rank."""
+
+    sent = []
+
+    def owners(self, position):
+        found = super().owners(position)
+        counts = np.bincount(found, minlength=self.rank.max() + 1)
+        counts[Recorded.rank_here] = 0
+        Recorded.sent.append(counts)
+        return found
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
