@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.field_block import components
+from granflow.engine.host_fields import components
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
