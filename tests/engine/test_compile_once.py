@@ -9,7 +9,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine import state_cache
+from granflow.engine import field_block, state_cache
 from granflow.engine.kernel_cache import KERNELS
 from granflow.engine.state import FreedState
 from granflow.errors import GranflowError
@@ -66,6 +66,12 @@ def digests_with_cache(folder, cases):
     return [digest_of(case) for case in cases], len(state_cache._kept)
 
 
+def digests_with_copy_kernels(folder, cases):
+    """As `digests_with_cache`, but kernels copy and clear the fields, as on a GPU."""
+    field_block.host_block = lambda fields, on_cpu: None
+    return digests_with_cache(folder, cases)
+
+
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     """Kernel cache after a run of the base scene."""
@@ -90,6 +96,15 @@ def test_runs_in_one_process_share_arrays_and_are_bit_identical(cache):
     assert after == alone
     assert before == again != after
     assert state_count == 1
+
+
+def test_copies_in_memory_and_by_kernels_give_the_same_bits(cache):
+    """Also after a reset, at which a kernel clears the fields."""
+    cases = [BASE, BASE | CHANGES | {"threads": 1}]
+    in_memory, by_kernels = (
+        in_subprocess(digests, str(cache), cases) for digests in (digests_with_cache, digests_with_copy_kernels)
+    )
+    assert in_memory == by_kernels
 
 
 def test_freed_simulations_refuse_their_arrays():

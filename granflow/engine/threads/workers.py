@@ -79,7 +79,7 @@ class Workers:
         # A single slow launch, interrupted by another process, shall not raise the patience by much.
         self._chunk_seconds = min(chunk_seconds, 1.1 * (self._chunk_seconds or chunk_seconds))
         patience = CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
-        # Writing a field costs a launch, so that small changes are ignored.
+        # Small changes are ignored, so that the patience does not follow every fluctuation.
         if not 0.8 * self._patience < patience < 1.25 * self._patience:
             self._set_patience(_pool, patience)
 
