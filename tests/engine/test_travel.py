@@ -8,6 +8,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
+from granflow.engine.field_block import write_padded
 from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
 from granflow.plan.travel import STEP_SHARE
@@ -98,7 +99,7 @@ def test_fast_particles_do_not_cross_thin_walls(taichi_f64, tmp_path, monkeypatc
     )
     velocity = np.zeros(positions.shape)
     velocity[:, 2] = -speed * np.sign(positions[:, 2])
-    simulation.engine.state.particles.velocity.from_numpy(velocity)
+    write_padded(simulation.engine.state.particles.velocity, velocity)
     simulation.run(until=6e-4)
     last = simulation.snapshot().particles
     simulation.free()
