@@ -11,15 +11,19 @@ def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
     """`file:line` of each `if` and `while` statement of a method whose condition is known only when the kernel runs.
 
     Conditions of `self`, of constants and of `ti.static` are known when it is compiled. A vectorized loop with another
-    branch crashes the compiler. Functions that the method calls are not searched.
+    branch crashes the compiler. The global device functions that the method calls are searched, too.
     """
-    source = unwrap(function)
+    source: Any = unwrap(getattr(function, "fn", function))
     lines, first = getsourcelines(source)
     definition = ast.parse(dedent("".join(lines))).body[0]
     variables = _variables(definition)
     for node in ast.walk(definition):
         if isinstance(node, ast.If | ast.While) and variables & set(_names(node.test)):
             yield f"{getsourcefile(source)}:{first + node.lineno - 1}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id != source.__name__:
+            called = source.__globals__.get(node.func.id)
+            if getattr(called, "_is_taichi_function", False):
+                yield from run_time_branches(called)
 
 
 def _variables(definition: ast.stmt) -> set[str]:

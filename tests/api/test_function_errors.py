@@ -207,12 +207,30 @@ class Looping(Faulty):
         return result, history
 
 
-@pytest.mark.parametrize(("law", "line"), [(Branching, 8), (Looping, 3)])
-def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, line):
+@ti.func
+def limited(value):
+    result = value
+    if value > 1.0:
+        result = 1.0
+    return result
+
+
+class Calling(Faulty):
+    name = "calling"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return limited(contact.overlap), history
+
+
+@pytest.mark.parametrize(
+    ("law", "function", "line"), [(Branching, Branching.force, 8), (Looping, Looping.force, 3), (Calling, limited, 3)]
+)
+def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, function, line):
     """Without the refusal the process ends with a segmentation fault when the first scene is compiled."""
     with pytest.raises(ValueError) as error:
         gf.register_contact_model(ContactModel(law, "has a branch"))
     assert str(error.value) == (
-        f"contact model {law.__name__}: {position_of(law.force, line)}: force has a branch that depends on the "
+        f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on the "
         "contact, in a loop that must be vectorized; use ti.select"
     )

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -12,7 +13,7 @@ from contact import test_normal_laws as generic
 from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
-from granflow import SceneError, load_scene, register_contact_model
+from granflow import Scene, SceneError, load_scene, register_contact_model
 from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
@@ -282,3 +283,21 @@ def test_a_model_without_source_is_refused_at_registration():
     exec("class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]", names)
     with pytest.raises(ValueError, match="the source of force is not available; define the class in a file"):
         register_contact_model(ContactModel(names["Typed"], "x"))
+
+
+OVERLAP = Amount("overlap [m]", "1 um", "length", "an overlap", above=0)
+
+
+def test_a_scene_from_before_the_registration_is_written_without_a_warning(recwarn):
+    first = load_scene(Path(__file__).parents[2] / "scenes" / "hopper.yaml")
+    model = ContactModel(
+        type("Later", (Sticky,), {"name": "later"}),
+        "x",
+        options={"saturation": Amount("x", "1 um", "length", "an overlap", above=0)},
+    )
+    register_contact_model(model)
+    try:
+        assert Scene.from_dict(first.to_dict(), first.folder).to_dict() == first.to_dict()
+    finally:
+        unregister_contact_model(model)
+    assert not [each for each in recwarn if "serializer" in str(each.message)]

@@ -131,8 +131,9 @@ class SceneInput(Model):
 
         `granflow.Scene.from_dict` makes an equal scene of it.
         """
-        # The serializer of this class: a subclass, which has the same fields, would build another one.
-        found = SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True)
+        # The serializer of this class: a subclass, which has the same fields, would build another one. It warns of
+        # options that were validated before another contact model was registered, although it writes them correctly.
+        found = SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True, warnings=False)
         return cast("dict[str, Any]", found)
 
     def is_given(self, *key_path: str | int) -> bool:
