@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from granflow.engine.backend import Arch, Backend, Precision, start
 from granflow.engine.engine import Engine
@@ -16,8 +17,6 @@ from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
-from granflow.parallel.communicator import Communicator
-from granflow.parallel.rank_engine import RankEngine
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.build import plan_for
 from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
@@ -39,6 +38,9 @@ from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import WallClock, collect_result
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, readable, visible_line
+
+if TYPE_CHECKING:
+    from granflow.parallel.communicator import Communicator
 
 
 class Simulation:
@@ -91,7 +93,7 @@ class Simulation:
         allow_long: bool = False,
         plan: Plan | None = None,
         forces: Sequence[ParticleForce] = (),
-        communicator: Communicator | None = None,
+        communicator: "Communicator | None" = None,
         overwrite: bool = False,
     ) -> None:
         wall_clock = WallClock()
@@ -120,7 +122,7 @@ class Simulation:
         insertion = ParticleInsertion(scene, earlier)
         self.files.create()
         self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)
-        engine = Engine(plan, backend) if communicator is None else RankEngine(plan, backend, communicator)
+        engine = Engine(plan, backend) if communicator is None else _rank_engine(plan, backend, communicator)
         self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
         self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
@@ -199,11 +201,11 @@ class Simulation:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
         if count < 0 or count != int(count):
             raise ValueError(f"count is {count}, but must be a whole number of at least 0.")
-        wanted, goes_on, self.is_stopped = self.engine.step_count + count, True, False
+        wanted, self.is_stopped = self.engine.step_count + count, False
         with self._session.running():
-            while goes_on and (remaining := wanted - self.engine.step_count) > 0:
+            while not self.is_stopped and (remaining := wanted - self.engine.step_count) > 0:
                 steps = remaining if self.plan.adaptive_time_step is None else 1
-                goes_on = self._advance(self.time + steps * self.time_step)
+                self._advance(self.time + steps * self.time_step)
 
     def save(self) -> None:
         """Write a checkpoint of the present time, from which the run can be resumed.
@@ -275,14 +277,13 @@ class Simulation:
             raise ValueError(f"duration is {duration:g} s, but must not be negative.")
         return end
 
-    def _advance(self, end: float, within_stages: bool = False) -> bool:
-        """Advance to `end` [s]; return False if an observer ends the run before."""
+    def _advance(self, end: float, within_stages: bool = False) -> None:
+        """Advance to `end` [s], unless an observer ends the run before."""
         try:
             with stopping_on_interrupt(self.request_stop):
                 self._loop.run(end, within_stages)
         except StopRun:
             self.is_stopped = True
-        return not self.is_stopped
 
     def _last_result(self) -> Result:
         """Numbers of the run at its end, which is logged."""
@@ -322,7 +323,14 @@ class Simulation:
         return html_table(self.plan.title, rows)
 
 
-def _refuse_size(plan: Plan, backend: Backend, communicator: Communicator | None) -> None:
+def _rank_engine(plan: Plan, backend: Backend, communicator: "Communicator") -> Engine:
+    """The engine of the root; only such runs import it."""
+    from granflow.parallel.rank_engine import RankEngine
+
+    return RankEngine(plan, backend, communicator)
+
+
+def _refuse_size(plan: Plan, backend: Backend, communicator: "Communicator | None") -> None:
     """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
     plan = plan if communicator is None else rank_plan(plan, communicator.size)
     refuse_too_many(plan)

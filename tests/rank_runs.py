@@ -12,13 +12,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from scene_builders import DASHPOTS, SPRINGS, box, build_scene, particle_group  # noqa: E402
+from scene_builders import (  # noqa: E402
+    DASHPOTS,
+    SPRINGS,
+    box,
+    build_scene,
+    moving_lattice,
+    particle_group,
+    vibrating_box,
+)  # noqa: E402
 
-from granflow import simulation as simulation_module  # noqa: E402
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
 from granflow.engine.host_copy import copy_to_host  # noqa: E402
-from granflow.parallel import decomposition, rank_rebuild  # noqa: E402
+from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
 from granflow.parallel.histories import HistoryTable  # noqa: E402
@@ -35,13 +42,7 @@ FAILING_STEP = 60
 
 def bed(steps=300, groups=None, **changes):
     """216 particles with velocities in all directions in a box with a vibrating floor, in chunks of 32."""
-    walls = box(0.042)
-    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
-    rng = np.random.default_rng(4)
-    positions = 0.0065 * (np.argwhere(np.ones((6, 6, 6))) + 0.75)
-    lattice = particle_group(
-        positions, rng.uniform(0.004, 0.0062, len(positions)), velocity=rng.normal(0.0, 1.0, positions.shape)
-    )
+    lattice = moving_lattice((6, 6, 6), largest=0.0062, speed=1.0)
     parts = {
         "normal": "zhou",
         "rolling": "epsd",
@@ -50,7 +51,7 @@ def bed(steps=300, groups=None, **changes):
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
         "output": {"interval": 1.0, "energy_budget": True, "wall_forces": True, "walls": False},
         "run": {"duration": steps * TIME_STEP, "velocity_max": 4.0, "time_step": TIME_STEP},
-        "walls": walls,
+        "walls": vibrating_box(0.042),
     }
     return build_scene({"lattice": lattice} | (groups or {}), **(parts | changes))
 
@@ -122,7 +123,7 @@ def main(name, path, kind):
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
     rank_rebuild.Decomposition = decomposition.Decomposition = Recorded
-    simulation_module.RankEngine = ObservedEngine
+    rank_engine.RankEngine = ObservedEngine
     if communicator.is_root:
         with controlling(communicator):
             save(path, Simulation(scene, threads=1, communicator=communicator))

@@ -21,6 +21,19 @@ def particle_group(positions, diameter=0.01, material="glass", **more):
     return {"material": material, "count": len(positions), "insert": insertion} | given
 
 
+def moving_lattice(counts, largest, speed):
+    """Particles on a lattice of 6.5 mm with random diameters and velocities.
+
+    counts:   particles along x, y and z
+    largest:  largest diameter [m]; the smallest is 4 mm
+    speed:    standard deviation of each velocity component [m/s]
+    """
+    rng = np.random.default_rng(4)
+    positions = 0.0065 * (np.argwhere(np.ones(counts)) + 0.75)
+    diameters = rng.uniform(0.004, largest, len(positions))
+    return particle_group(positions, diameters, velocity=rng.normal(0.0, speed, positions.shape))
+
+
 def build_scene(groups, walls=None, pair=None, **parts):
     """A scene of groups and walls, without gravity; `pair` applies to all pairs of materials that `pairs` lacks.
 
@@ -82,6 +95,13 @@ def box(size, material="glass"):
         unit = np.eye(3)[axis]
         walls[f"low_{name}"] = plane([0.0] * 3, unit.tolist(), material)
         walls[f"high_{name}"] = plane((size * unit).tolist(), (-unit).tolist(), material)
+    return walls
+
+
+def vibrating_box(size):
+    """The walls of `box`, whose floor vibrates with 1 mm at 60 Hz."""
+    walls = box(size)
+    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
     return walls
 
 

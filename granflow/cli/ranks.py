@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from granflow.cli.arguments import load_runnable
 from granflow.cli.signals import ignore_stops
+from granflow.io.machine import allowed_cores
 
 if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
@@ -37,8 +38,7 @@ def on_ranks(options: argparse.Namespace, run: "Callable[[Communicator], int]") 
 
 def threads_per_rank(communicator: "Communicator") -> int:
     """CPU threads of each rank: its cores if mpirun has bound it to some, otherwise a part of those of the machine."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    ranks = communicator.local_size()
+    cores, ranks = allowed_cores(), communicator.local_size()
     return max(cores // ranks if cores == os.cpu_count() else cores, 1)
 
 

@@ -13,7 +13,7 @@ def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
     Conditions of `self`, of constants and of `ti.static` are known when it is compiled. A vectorized loop with another
     branch crashes the compiler. The global device functions that the method calls are searched, too.
     """
-    source: Any = unwrap(getattr(function, "fn", function))
+    source: Any = unwrap(function)
     lines, first = getsourcelines(source)
     definition = ast.parse(dedent("".join(lines))).body[0]
     variables = _variables(definition)

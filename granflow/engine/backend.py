@@ -190,11 +190,10 @@ def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads
     same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
     if same_arch and precision == running.precision and threads in (None, running.threads):
         return
-    before, now = (
-        f"{each_arch} with {each_precision} and {'all' if count is None else count} threads"
-        for each_arch, each_precision, count in (
-            (running.arch, running.precision, running.threads),
-            (arch, precision, threads),
-        )
-    )
+    before, now = _settings(running.arch, running.precision, running.threads), _settings(arch, precision, threads)
     raise GranflowError(f"Taichi already runs in this process on {before}; start {now} in a separate process.")
+
+
+def _settings(arch: str, precision: Precision, threads: int | None) -> str:
+    """Settings of a start in words."""
+    return f"{arch} with {precision} and {'all' if threads is None else threads} threads"

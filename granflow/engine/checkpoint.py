@@ -53,7 +53,7 @@ class EngineCheckpoint:
             "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
             "accounting": engine.accounting.state_dict(),
             "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
-            "particles": saved_particle_table(state).take(np.arange(state.count)),
+            "particles": saved_particle_table(state).take(slice(0, state.count)),
             "neighbors": self._neighbor_lists(),
             "wall_dynamics": {
                 "controlled_motions": [controlled.key for controlled in engine.plan.controlled_motions],
@@ -115,7 +115,7 @@ class EngineCheckpoint:
     def _neighbor_lists(self) -> dict[str, np.ndarray]:
         """Length of each neighbor list (n,), number of its wall entries (n,), and the entries of all lists in order."""
         state = self.engine.state
-        lists = state.built(_list_table).take(np.arange(state.count))
+        lists = state.built(_list_table).take(slice(0, state.count))
         length = lists["end"] - lists["begin"]
         entries = state.built(_entry_table).take(consecutive(lists["begin"], length))
         return {"list_length": length, "list_walls": lists["middle"] - lists["begin"], **entries}

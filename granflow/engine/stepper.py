@@ -8,6 +8,7 @@ list capacity is too small, the host reallocates the fields and repeats the rebu
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
@@ -71,27 +72,41 @@ class Timing:
         return self.advance - self.exchange - self.forces
 
 
+class Rebuild(Protocol):
+    """Rebuild of the neighbor lists."""
+
+    def compile(self) -> None:
+        """Compile the kernels, unless the state has them."""
+
+    def run(self, pose: int, workers: int) -> None:
+        """Rebuild the lists at an index of the wall poses, with a number of workers."""
+
+
 class Stepper:
     """Advances a State by steps.
 
     state:       device data
-    on_deleted:  see `NeighborListRebuild`
+    on_deleted:  see the class of the rebuild, `NeighborListRebuild`
 
     `interrupted` stops `advance` after the present launch.
     """
 
-    def __init__(self, state: State, on_deleted: Callable[[int, int], None]) -> None:
+    def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
         self.state = state
         self.timing = Timing()
         self.steps_since_rebuild = 0
         self.interrupted = False
         self._since_sample = 0
-        self._rebuild = NeighborListRebuild(state, on_deleted, self.grow_neighbor_lists)
+        self._rebuild = self._new_rebuild(on_deleted)
         self._workers = Workers(state)
         self._pose = WALL_BATCH if state.plan.has_poses else 0
         self._first_pose_step: int | None = None
         self._step_seconds = 0.0
         self._compile()
+
+    def _new_rebuild(self, on_deleted: Callable[..., None]) -> Rebuild:
+        """What rebuilds the neighbor lists."""
+        return NeighborListRebuild(self.state, on_deleted, self.grow_neighbor_lists)
 
     def _compile(self) -> None:
         """Compile all phases, unless the state has them, by launching them on empty ranges."""

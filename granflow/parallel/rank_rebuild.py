@@ -59,9 +59,9 @@ class RankRebuild:
         self._deleted: set[int] = set()
 
     def compile(self) -> None:
-        """Compile the kernel, unless the state has it, by launching it on an empty range."""
-        kernel = self._state.built(RebuildKernel)
-        kernel.launch(1, kernel.fill, 0, 0.0, 0.0, 0.0, 0)
+        """Compile the kernels, unless the state has them."""
+        self._state.built(RebuildKernel).compile()
+        self.ghosts.compile()
 
     def run(self, pose: int, workers: int) -> None:
         """Delete and migrate particles, select ghosts, and fill the neighbor lists.
@@ -85,17 +85,10 @@ class RankRebuild:
     def _taken(self) -> Owned:
         """The particles of the device and the pending ones, in the periodic box."""
         state, pending, self.pending = self._state, self.pending, []
-        arrays = joined([saved_particle_table(state).take(np.arange(state.count)), *pending])
-        self._wrap(arrays)
+        arrays = joined([saved_particle_table(state).take(slice(0, state.count)), *pending])
+        # Integration has wrapped all but pending particles.
+        arrays["position"][...] = state.plan.periodic_box.wrap(arrays["position"])
         return Owned(arrays, self._histories.read(self._ids, len(arrays["id"])))
-
-    def _wrap(self, owned: Arrays) -> None:
-        """Move particles into the periodic box; integration has done so for all but pending ones."""
-        plan = self._state.plan
-        for axis in plan.periodic_box.axes:
-            low, width = plan.domain_low[axis], plan.domain_high[axis] - plan.domain_low[axis]
-            coordinate = owned["position"][:, axis]
-            owned["position"][:, axis] = coordinate - width * np.floor((coordinate - low) / width)
 
     def _without_deleted(self, owned: Owned) -> tuple[Owned, Arrays]:
         """The particles in the domain, and the others, as `engine.neighbor.deletion` decides without outlets."""

@@ -22,8 +22,12 @@ class RankStepper(Stepper):
 
     def __init__(self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]) -> None:
         self._requested = self._agreed = False
-        self._rank_rebuild = RankRebuild(state, communicator, on_deleted, self._grow_capacities)
-        super().__init__(state, lambda _first, _last: None)
+        self._communicator = communicator
+        super().__init__(state, on_deleted)
+
+    def _new_rebuild(self, on_deleted: Callable[[Arrays], None]) -> RankRebuild:
+        self._rank_rebuild = RankRebuild(self.state, self._communicator, on_deleted, self._grow_capacities)
+        return self._rank_rebuild
 
     @property
     def pending(self) -> list[Arrays]:
@@ -42,21 +46,6 @@ class RankStepper(Stepper):
     @interrupted.setter
     def interrupted(self, requested: bool) -> None:
         self._requested = requested
-
-    def _compile(self) -> None:
-        super()._compile()
-        began = clock.perf_counter()
-        self._rank_rebuild.ghosts.compile()
-        self.timing.compile += clock.perf_counter() - began
-
-    def rebuild_neighbor_lists(self, pose: int = 0) -> None:
-        """Migrate particles, select ghosts, and fill the neighbor lists; see `RankRebuild`."""
-        began, compiled = clock.perf_counter(), self.timing.compile
-        self._prepare_workers()
-        self._rank_rebuild.run(pose, self._workers.count)
-        self.steps_since_rebuild = 0
-        self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
-        self.timing.rebuild_count += 1
 
     def _grow_capacities(self, particles: int, needed: int, longest: int) -> None:
         """Increase the arrays to at least these capacities, and build all kernels again."""

@@ -55,7 +55,7 @@ class TimeLoop:
         if self.stages_ended and isfinite(end) and not within_stages:
             while self.state.progress.target is not None or not self.engine.reached(end):
                 self._advance_to(min(end, self._next_event()))
-        self._handle_requests()
+        self._stop_if_requested()
 
     def _run_stage(self, stage: PlannedStage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
@@ -163,12 +163,16 @@ class TimeLoop:
             self.engine.refresh()
             self._abort_if_diagnosed()
 
-    def _handle_requests(self) -> None:
-        """Stop if requested, after a checkpoint; write a checkpoint if due."""
+    def _stop_if_requested(self) -> None:
+        """Raise the requested exception after a checkpoint; the request is then done."""
         if self.stop_requested is not None:
             error, self.stop_requested, self.engine.stepper.interrupted = self.stop_requested, None, False
             self.save()
             raise error
+
+    def _handle_requests(self) -> None:
+        """Stop if requested; write a checkpoint if due."""
+        self._stop_if_requested()
         with self.state.wall_clock.measuring_output():
             self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
 

@@ -55,7 +55,7 @@ def _refuse_branches(model: ContactModel) -> None:
     """Raise ValueError for a branch in a function that runs in a vectorized loop."""
     if not getattr(model.law, "branch_free", True):
         return
-    for name in filter(lambda each: hasattr(model.law, each), VECTORIZED):
+    for name in [each for each in VECTORIZED if hasattr(model.law, each)]:
         for place in run_time_branches(getattr(model.law, name)):
             remedy = "use ti.select" + (", or set branch_free = False" if hasattr(model.law, "branch_free") else "")
             raise ValueError(

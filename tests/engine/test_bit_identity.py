@@ -5,7 +5,17 @@ import os
 
 import numpy as np
 import pytest
-from scene_builders import DASHPOTS, SPRINGS, box, build_scene, particle_group, plane, run_to_end
+from scene_builders import (
+    DASHPOTS,
+    SPRINGS,
+    box,
+    build_scene,
+    moving_lattice,
+    particle_group,
+    plane,
+    run_to_end,
+    vibrating_box,
+)
 from subprocess_runner import in_subprocess
 
 from granflow.engine import backend
@@ -20,15 +30,9 @@ ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "
 
 def falling_lattice(particles=None, **changes):
     """A lattice of 256 particles falls into a vibrating box: friction, rolling friction, a moving wall, rebuilds."""
-    walls = box(0.06)
-    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
-    rng = np.random.default_rng(4)
-    positions = 0.0065 * (np.argwhere(np.ones((8, 8, 4))) + 0.75)
-    lattice = particle_group(
-        positions, rng.uniform(0.004, 0.006, len(positions)), velocity=rng.normal(0.0, 0.3, positions.shape)
-    )
+    lattice = moving_lattice((8, 8, 4), largest=0.006, speed=0.3)
     return build_scene(
-        {"lattice": lattice} | (particles or {}), walls=walls, rolling="epsd", gravity=[0.0, 0.0, -9.81],
+        {"lattice": lattice} | (particles or {}), walls=vibrating_box(0.06), rolling="epsd", gravity=[0.0, 0.0, -9.81],
         pair={"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.1}, **changes,
     )  # fmt: skip
 

@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from scene_builders import box, build_scene, particle_group, plane, run_to_end
+from scene_builders import build_scene, particle_group, plane, run_to_end, vibrating_box
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
@@ -29,8 +29,7 @@ def particles(seed=4):
 
 def walled(numerics):
     """Particles fall into a vibrating box below a servo wall; insertion, rolling friction, wall forces, budget."""
-    walls = box(0.06)
-    walls["low_z"] |= {"motion": {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}}
+    walls = vibrating_box(0.06)
     walls["lid"] = plane(
         [0.0, 0.0, 0.03],
         [0, 0, -1],

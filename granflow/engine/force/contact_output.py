@@ -24,7 +24,7 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
     """
-    rows = state.built(_row_table).take(np.arange(state.count))
+    rows = state.built(_row_table).take(slice(0, state.count))
     begin, end = rows["begin"], rows["end"]
     owner, list_index = np.repeat(np.arange(state.count), end - begin), consecutive(begin, end - begin).astype(np.int64)
     return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)

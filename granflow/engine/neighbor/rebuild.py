@@ -32,6 +32,10 @@ class RebuildKernel:
         self.fill = len(phases)
         self.launch = build_rebuild(state, [*phases, fill_phase(state)])
 
+    def compile(self) -> None:
+        """Compile the kernel by launching it on an empty range."""
+        self.launch(1, self.fill, 0, 0.0, 0.0, 0.0, 0)
+
 
 class NeighborListRebuild:
     """Runs the phases of a rebuild.
@@ -47,9 +51,9 @@ class NeighborListRebuild:
         self._state, self._on_deleted, self._grow = state, on_deleted, grow
 
     def compile(self) -> None:
-        """Compile the kernel, unless the state has it, by launching it on an empty range."""
+        """Compile the kernel, unless the state has it."""
         self._kernel = self._state.built(RebuildKernel)
-        self._kernel.launch(1, self._kernel.fill, 0, 0.0, 0.0, 0.0, 0)
+        self._kernel.compile()
 
     def run(self, pose: int, workers: int) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
