@@ -24,11 +24,9 @@ from scene_builders import (  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
-from granflow.engine.host_copy import copy_to_host  # noqa: E402
 from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
-from granflow.parallel.histories import HistoryTable  # noqa: E402
 from granflow.parallel.rank_engine import RankEngine  # noqa: E402
 from granflow.parallel.serve import controlling, serve  # noqa: E402
 from granflow.plan import plan as plan_module  # noqa: E402
@@ -152,42 +150,25 @@ def save(path, simulation):
               for name, value in getattr(last, kind).items()}  # fmt: skip
     counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
-        counts["growths"] = engine.timing.growth_count
+        counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations()}
     np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
     simulation.free()
 
 
 def histories(engine):
     """Contact histories of all particles, ordered by the ids of owner and partner."""
-    if isinstance(engine, ObservedEngine):
-        return engine.histories()
-    return sorted_histories([with_owners(engine.state, copy_to_host(engine.state, ("id",))["id"])])
-
-
-def with_owners(state, ids):
-    """Ids of the owners of all contacts of a rank, and the histories."""
-    found = HistoryTable(state).read(ids, state.count)
-    return np.repeat(ids[: state.count], found.count), found
-
-
-def sorted_histories(pairs):
-    """Arrays of the histories of several ranks, each with the ids of the owners."""
-    owner, parts = np.concatenate([ids for ids, _ in pairs]), [part for _, part in pairs]
-    partner = np.concatenate([part.partner for part in parts])
-    order = np.lexsort((partner, owner))
-    values = {slot: np.concatenate([part.values[slot] for part in parts])[order] for slot in parts[0].values}
-    return {"history.pairs": np.stack([owner, partner])[:, order], **{f"history.{k}": v for k, v in values.items()}}
+    particles = engine.saved_particles().by_id()
+    found = particles.histories
+    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
+    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
 
 
 class ObservedEngine(RankEngine):
-    """An engine whose root also returns the contact histories of all ranks and the numbers of migrations."""
+    """An engine whose root also returns the numbers of migrations."""
 
-    def histories(self):
-        with self.communicator.commanding("histories"):
-            rebuild = self.stepper._rank_rebuild
-            parts = self.communicator.to_root(with_owners(self.state, rebuild._ids))
-            sent = self.communicator.to_root(sum(Recorded.sent[1:]))
-        return sorted_histories(parts) | {"migrations": np.array(sent)} if parts else {}
+    def migrations(self):
+        with self.communicator.commanding("migrations"):
+            return np.array(self.communicator.to_root(sum(Recorded.sent[1:])))
 
 
 class Recorded(Decomposition):

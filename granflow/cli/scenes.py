@@ -5,12 +5,14 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import (
     add_allow_long,
     add_machine,
+    add_mpi,
     add_scene_verb,
     load,
     load_runnable,
@@ -23,6 +25,7 @@ from granflow.errors import GranflowError
 if TYPE_CHECKING:
     from granflow.load import Scene
     from granflow.parallel.communicator import Communicator
+    from granflow.plan.plan import Plan
 
 
 def run(options: argparse.Namespace) -> int:
@@ -35,9 +38,17 @@ def run(options: argparse.Namespace) -> int:
     from granflow.parallel.launch import refuse_without_mpi_flag
 
     if options.mpi:
-        return on_ranks(options, lambda communicator: run_scene(options, communicator))
+        return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
     refuse_without_mpi_flag()
     return run_scene(options)
+
+
+def scene_and_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
+    """The scene of a run and its plan."""
+    from granflow.plan.build import plan_for
+
+    scene = load_runnable(options)
+    return scene, plan_for(scene)
 
 
 def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
@@ -161,9 +172,7 @@ def add_run(verbs: Any) -> None:
         action="store_true",
         help="replace an earlier run in the same directory after the first frame of the new run",
     )
-    parser.add_argument(
-        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs granflow[mpi]"
-    )
+    add_mpi(parser)
     add_machine(parser)
 
 

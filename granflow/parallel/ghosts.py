@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.engine.ghost_kernels import ABORT, FLAGS, PARTICLE, REBUILD, STOP, GhostKernels
+from granflow.engine.host_particles import joined_arrays
 from granflow.engine.limits import NO_PARTICLE
+from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
-from granflow.parallel.communicator import Communicator, joined
-from granflow.plan.capacities import REACH_STEPS
+from granflow.parallel.communicator import Communicator
 
 MARGIN = 1.0 + 1e-5
 """Factor of distances above rounding, in all precisions: more ghosts than necessary are harmless."""
@@ -24,11 +25,13 @@ class Box:
     reach: float
 
 
-def reaches(state: State, arrays: Arrays) -> np.ndarray:
+def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
     """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.cell_sort.bounds_phase`."""
     plan = state.plan
     speed = np.linalg.norm(arrays["velocity"].astype(float), axis=1)
-    reach = np.minimum(0.5 * plan.skin + speed * REACH_STEPS * state.clock.time_step, plan.reach_max)
+    reach = np.minimum(0.5 * plan.skin + speed * reach_time, plan.reach_max)
+    if reach_time == KEPT_REACH:
+        reach = arrays["reach"].astype(float)
     found: np.ndarray = MARGIN * (arrays["radius"].astype(float) + reach)
     return found
 
@@ -75,13 +78,14 @@ class GhostExchange:
         self.first = self.count = 0
         self._prepare([], [])
 
-    def select(self, arrays: Arrays) -> Arrays:
+    def select(self, arrays: Arrays, reach_time: float) -> Arrays:
         """Send the particles that other ranks need; returns the ghosts of this rank, all fields.
 
-        arrays:  saved fields of the owned particles, in the order that they have on the device from now on
+        arrays:      saved fields of the owned particles, in the order that they have on the device from now on
+        reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
         """
         communicator, position = self._communicator, arrays["position"].astype(float)
-        reach = reaches(self._state, arrays)
+        reach = reaches(self._state, arrays, reach_time)
         boxes = communicator.from_each(box_of(position, reach))
         entries = [
             np.zeros(0, np.int64) if rank == communicator.rank else within(self._state, box, position, reach)
@@ -89,7 +93,7 @@ class GhostExchange:
         ]
         received = communicator.exchanged([{name: values[rows] for name, values in arrays.items()} for rows in entries])
         self._prepare(entries, [len(part["id"]) for part in received])
-        return joined(received)
+        return joined_arrays(received)
 
     def _prepare(self, entries: list[np.ndarray], received: list[int]) -> None:
         """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each rank."""

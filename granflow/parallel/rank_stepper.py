@@ -105,7 +105,7 @@ class RankStepper(Stepper):
     def _finish_step(self, is_due: bool, step: int) -> int:
         """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1."""
         if is_due:
-            self.rebuild_neighbor_lists(self._pose)
+            self.rebuild_neighbor_lists(step + 1, self._pose)
             write_force_inputs(self.state, step + 1)
         began = clock.perf_counter()
         self._launch_step(1, self._pose, self.state.clock.time_step, moving=0)

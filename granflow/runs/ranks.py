@@ -7,24 +7,20 @@ from granflow.load import Scene
 from granflow.observers.coarse_graining.accumulation import CONTACT_FIELDS
 from granflow.plan.walls import is_force_controlled
 from granflow.scene.schema.analysis import FabricMetric, SlidingMetric
-from granflow.scene.schema.output import Checkpoints
 
 REMEDY = "run the scene without --mpi"
 
-NO_CHECKPOINTS = "A run with --mpi writes no checkpoints yet: it cannot be resumed."
-"""Warning of each run on ranks."""
 
-
-def refuse_on_ranks(scene: Scene, arch: str = "cpu", forces: Sequence[object] = (), resume: object = None) -> None:
+def refuse_on_ranks(scene: Scene, arch: str = "cpu", forces: Sequence[object] = ()) -> None:
     """Raise SceneError for parts of a scene that do not run on ranks.
 
     arch:    architecture; GranflowError for another one than the CPU
-    forces:  forces from Python, resume: checkpoint; GranflowError for any
+    forces:  forces from Python; GranflowError for any
     """
     if arch != "cpu":
         raise GranflowError(f"--arch {arch} does not work with --mpi, which runs on CPUs only: leave --arch out.")
-    if forces or resume is not None:
-        raise GranflowError("Forces from Python and resumed runs do not work on MPI ranks: run without a communicator.")
+    if forces:
+        raise GranflowError("Forces from Python do not work on MPI ranks: run without a communicator.")
     if problems := [*rank_problems(scene)]:
         raise SceneError(problems)
 
@@ -51,10 +47,8 @@ def _refused(scene: Scene) -> Iterator[tuple[tuple[str, ...], str, str]]:
 
 
 def _refused_output(scene: Scene) -> Iterator[tuple[tuple[str, ...], str, str]]:
-    """The same for the block `output`: what needs a list of all contacts, and checkpoints."""
+    """The same for the block `output`: what needs a list of all contacts."""
     output = scene.output
-    if output.checkpoint != Checkpoints():
-        yield ("output", "checkpoint"), "(its own interval or number)", "remove it; the run then writes no checkpoint"
     if output.contacts:
         yield ("output", "contacts"), "true", "set it to false"
     if scene.measured_walls and output.walls:

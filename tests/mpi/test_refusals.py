@@ -22,7 +22,6 @@ REFUSED = {
     "walls.floor.motion": {"walls": {"floor": plane([0, 0, -0.5], [0, 0, 1], motion=SERVO)}},
     "output.contacts": {"output": {"interval": 1.0, "contacts": True}},
     "output.walls": {"output": {"interval": 1.0, "wall_forces": True}},
-    "output.checkpoint": {"output": {"interval": 1.0, "checkpoint": {"keep": 3}}},
     "output.metrics.chain": {"output": {"interval": 1.0, "metrics": {"chain": {"kind": "fabric"}}}},
     "output.fields.mean": {
         "output": {"interval": 1.0, "fields": {"mean": {"cells": [2, 2, 2], "quantities": ["pressure"]}}}
