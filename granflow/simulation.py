@@ -99,7 +99,7 @@ class Simulation:
         wall_clock = WallClock()
         refuse_other_object(scene)
         if communicator is not None:
-            refuse_on_ranks(scene, arch, forces)
+            refuse_on_ranks(arch, forces)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)

@@ -21,6 +21,7 @@ from scene_builders import (  # noqa: E402
     particle_group,
     vibrating_box,
 )  # noqa: E402
+from sheared_scenes import sheared_gas  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
@@ -95,6 +96,27 @@ def in_precision(precision):
     )
 
 
+def with_outlet():
+    """The bed above a hole in the floor, with an outlet behind it."""
+    walls = box(0.042)
+    del walls["low_z"]
+    outlets = {"hole": {"box": {"min": [-0.01, -0.01, -0.02], "max": [0.03, 0.05, 0.002]}}}
+    domain = {"min": [-0.01, -0.01, -0.03], "max": [0.05, 0.05, 0.05], "on_exit": "delete"}
+    return bed(1500, walls=walls, outlets=outlets, domain=domain)
+
+
+def with_piston(motion):
+    """The bed under a lid that a force moves."""
+    walls = vibrating_box(0.042)
+    walls["high_z"]["motion"] = {"direction": [0, 0, -1], **motion}
+    return bed(1500, walls=walls)
+
+
+def sheared():
+    """A cloud of two sizes in a Lees-Edwards box."""
+    return sheared_gas(duration=0.008, sizes=(0.002, 0.0065))
+
+
 SCENES = {
     "short": bed,
     "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
@@ -105,6 +127,11 @@ SCENES = {
     "inserted": inserted,
     "periodic": periodic,
     "wide_sizes": wide_sizes,
+    "outlet": with_outlet,
+    "servo": lambda: with_piston({"kind": "servo", "force": 2.0, "velocity_max": 0.5}),
+    "free": lambda: with_piston({"kind": "free", "mass": 0.01}),
+    "adaptive": lambda: bed(run={"duration": 3e-3, "velocity_max": 4.0, "time_step": "adaptive"}),
+    "sheared": sheared,
     "mixed": lambda: in_precision("mixed"),
     "f32": lambda: in_precision("f32"),
 }
@@ -145,8 +172,8 @@ def failing_engine():
 def save(path, simulation):
     """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
     simulation.run()
-    last, engine = simulation.snapshot(), simulation.engine
-    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "totals", "impulses")
+    last, engine = simulation.snapshot(contacts=True), simulation.engine
+    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "contacts", "totals", "impulses")
               for name, value in getattr(last, kind).items()}  # fmt: skip
     counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):

@@ -103,10 +103,6 @@ def check(options: argparse.Namespace) -> int:
     their packing is not checked.
     """
     scene = load(options)
-    if options.mpi:
-        from granflow.runs.ranks import refuse_on_ranks
-
-        refuse_on_ranks(scene)
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
@@ -155,7 +151,7 @@ def add_check(verbs: Any) -> None:
     """Add `granflow check` and its arguments."""
     parser = add_scene_verb(verbs, check, "report all errors of a scene without running it")
     add_allow_long(parser)
-    parser.add_argument("--mpi", action="store_true", help="also report what does not work with run --mpi")
+    parser.add_argument("--mpi", action="store_true", help="for a run on MPI ranks, each with a part of the particles")
 
 
 def add_run(verbs: Any) -> None:

@@ -378,7 +378,7 @@ class Engine:
             arrays["position"], arrays["velocity"], self.time
         )
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
-        contacts = self.state.built(ContactOutput).take(arrays, pose) if "contacts" in quantities else None
+        contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
         impulses = wall_impulses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 

@@ -168,10 +168,14 @@ class Stepper:
         """Put particles, in the order of their ids, on an empty device; `refresh` must follow."""
         self._rebuild.put(particles)
 
+    def ids(self) -> np.ndarray:
+        """Ids of all particles that neighbor lists can contain, in device order."""
+        return self._rebuild.ids()
+
     def saved_particles(self) -> HostParticles:
         """The particles of the device, of this rank if there are several."""
         arrays = saved_particle_table(self.state).take(slice(0, self.state.count))
-        return HostParticles(arrays, HistoryTable(self.state).read(self._rebuild.ids(), self.state.count))
+        return HostParticles(arrays, HistoryTable(self.state).read(self.ids(), self.state.count))
 
     def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
         """Increase the arrays of the neighbor lists and build all kernels again.

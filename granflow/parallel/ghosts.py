@@ -50,15 +50,30 @@ def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> n
     """
     if box.low[0] > box.high[0]:
         return np.zeros(0, np.int64)
-    plan, gap_squared = state.plan, np.zeros(len(position))
+    plan, gaps = state.plan, np.zeros((len(position), 3))
+    motion, sheared = plan.periodic_box.image_motion, np.full(len(position), np.inf)
     for axis in range(3):
-        gap = _gap(position[:, axis], box.low[axis], box.high[axis])
+        gaps[:, axis] = _gap(position[:, axis], box.low[axis], box.high[axis])
         if axis in plan.periodic_box.axes:
-            width = plan.domain_high[axis] - plan.domain_low[axis]
-            for shift in (-width, width):
-                gap = np.minimum(gap, _gap(position[:, axis] + shift, box.low[axis], box.high[axis]))
-        gap_squared += gap**2
+            image_gap = _image_gap(state, box, position, axis)
+            if motion is not None and axis == motion.gradient:
+                sheared = image_gap
+            else:
+                gaps[:, axis] = np.minimum(gaps[:, axis], image_gap)
+    squares = gaps**2
+    gap_squared = squares.sum(axis=1)
+    if motion is not None:  # moving images may be anywhere along the flow
+        neutral = 3 - motion.flow - motion.gradient
+        gap_squared = np.minimum(gap_squared, squares[:, neutral] + sheared**2)
     return np.flatnonzero(gap_squared <= (MARGIN * (reach + box.reach + plan.laws.range)) ** 2)
+
+
+def _image_gap(state: State, box: Box, position: np.ndarray, axis: int) -> np.ndarray:
+    """Distance (n,) [m] of the nearest periodic images from the box along an axis."""
+    width = state.plan.domain_high[axis] - state.plan.domain_low[axis]
+    above, below = (_gap(position[:, axis] + shift, box.low[axis], box.high[axis]) for shift in (width, -width))
+    found: np.ndarray = np.minimum(above, below)
+    return found
 
 
 def _gap(coordinate: np.ndarray, low: float, high: float) -> np.ndarray:

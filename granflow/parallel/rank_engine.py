@@ -11,7 +11,7 @@ from granflow.engine.diagnosis import diagnose
 from granflow.engine.engine import Engine
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles, joined_particles
-from granflow.engine.limits import Diagnosis
+from granflow.engine.limits import ABORT_WALL, Diagnosis
 from granflow.engine.stepper import Stepper
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
@@ -104,6 +104,12 @@ class RankEngine(Engine):
         with self.communicator.commanding("restore", (dict(saved) | {"energy_budget": {}}, None, motions)):
             super().restore(saved, self.communicator.from_root(parts), motions)
 
+    def _kick(self, time: float) -> None:
+        """As `Engine`, also for the ghosts."""
+        super()._kick(time)
+        assert isinstance(self.stepper, RankStepper)
+        self.stepper.update_ghosts()
+
     @property
     def diagnosis(self) -> Diagnosis | None:
         """Diagnosis of an aborted run; None if the run has not aborted."""
@@ -115,6 +121,6 @@ class RankEngine(Engine):
         with self.communicator.commanding("rank_diagnosis"):
             code, particle = self.stepper.abort_code, int(self.state.control.abort_particle[0])
             found = None
-            if self.stepper.holds(particle):
+            if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
                 found = diagnose(code, particle, self.state, self.time, self._started)
             return next((each for each in self.communicator.to_root(found) if each is not None), None)

@@ -15,11 +15,12 @@ from granflow.engine.host_particles import HostParticles, joined_arrays, joined_
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.neighbor.cells import BLOCK_SIDE
-from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
 from granflow.engine.neighbor.rebuild import RebuildKernel
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.decomposition import Decomposition, bisected
 from granflow.parallel.ghosts import GhostExchange
@@ -71,6 +72,7 @@ class RankRebuild:
         workers:  number of workers of the launch
         """
         state, reach_time = self._state, REACH_STEPS * self._state.clock.time_step
+        mark_rebuild(state)  # displacements of walls count from here
         owned, deleted = self._without_deleted(self._taken())
         self._list(owned, deleted, pose, workers, reach_time)
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
@@ -119,18 +121,12 @@ class RankRebuild:
         state, pending, self.pending = self._state, self.pending, []
         arrays = joined_arrays([saved_particle_table(state).take(slice(0, state.count)), *pending])
         # Integration has wrapped all but pending particles.
-        arrays["position"][...] = state.plan.periodic_box.wrap(arrays["position"])
+        arrays["position"][...] = state.plan.periodic_box.at(state.clock.time).wrap(arrays["position"])
         return HostParticles(arrays, self._histories.read(self._ids, len(arrays["id"])))
 
     def _without_deleted(self, owned: HostParticles) -> tuple[HostParticles, Arrays]:
-        """The particles in the domain, and the others, as `engine.neighbor.deletion` decides without outlets."""
-        plan, position = self._state.plan, owned.arrays["position"]
-        expands = plan.domain.on_exit == "expand"
-        checked = [axis for axis in range(3) if not expands and axis not in plan.periodic_box.axes]
-        real = position.dtype
-        low, high = plan.domain_low.astype(real)[checked], plan.domain_high.astype(real)[checked]
-        stays = np.all((position[:, checked] >= low) & (position[:, checked] <= high), axis=1)
-        stays &= ~np.isnan(position).any(axis=1)
+        """The particles that remain, and the others, see `engine.neighbor.deletion`."""
+        stays = remaining(self._state, owned.arrays)
         deleted = {name: values[~stays] for name, values in owned.arrays.items()}
         names = [name for name in DELETED_FIELDS if name in deleted]
         all_deleted = joined_arrays(self._communicator.from_each({name: deleted[name] for name in names}))
