@@ -123,7 +123,7 @@ class ContactOutput:
         entries = {name: each[is_contact] for name, each in entries.items()}
         owner, partner = np.where(turned, partner, owner), np.where(turned, owner, partner)
         entries["force"][turned] *= -1.0
-        for slot in state.plan.laws.history:
+        for slot in state.neighbors.history:
             entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(entries[slot].dtype)
         return owner, partner, entries
 
