@@ -36,11 +36,21 @@ from granflow.runs.run_state import RunState
 from granflow.runs.session import RunSession
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import WallClock, collect_result
+from granflow.scene.schema.units import seconds_of
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, readable, visible_line
 
 if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
+
+
+ATTRIBUTES = frozenset(
+    (
+        *("files", "warnings", "observers", "is_stopped", "particles", "walls", "forces"),
+        *("_state", "_loop", "_in_block", "_session"),
+    )
+)
+"""Attributes of a simulation that are set; all others are read-only or do not exist."""
 
 
 class Simulation:
@@ -134,6 +144,15 @@ class Simulation:
         self.forces = Forces(self._state, forces)
         wall_clock.set_up(engine.timing.compile)
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no effect."""
+        if name not in ATTRIBUTES:
+            raise AttributeError(
+                f"Simulation.{name} cannot be set: values of the scene are fixed in a run. Change the scene before it "
+                "(Scene.from_dict), or add a force: simulation.forces.append(...)."
+            )
+        object.__setattr__(self, name, value)
+
     @property
     def engine(self) -> Engine:
         """The device data and kernels of the run; a change of the compiled features replaces them."""
@@ -173,8 +192,12 @@ class Simulation:
         quantities = {PARTICLES, WALLS, TOTALS, *([CONTACTS] if contacts else [])}
         return self.engine.snapshot(self.stage, frozenset(quantities))
 
-    def run(self, until: float | None = None, duration: float | None = None, within_stages: bool = False) -> Result:
+    def run(
+        self, until: float | str | None = None, duration: float | str | None = None, within_stages: bool = False
+    ) -> Result:
         """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
+
+        Times are numbers in s, or text with a unit, such as "20 ms".
 
         After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers remain.
         With `within_stages`, the run ends with the last stage instead.
@@ -185,6 +208,10 @@ class Simulation:
                   FunctionError if a function from Python fails, OutputError if files cannot be written; before the
                   last two, a checkpoint is written if possible
         """
+        until, duration = (
+            None if time is None else seconds_of(name, time)
+            for name, time in (("until", until), ("duration", duration))
+        )
         end = self._end(until, duration)
         self.is_stopped = False
         with self._session.running():

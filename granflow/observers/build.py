@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.geometry.catalog import triangles
+from granflow.geometry.catalog import area_of, triangles
 from granflow.io.background_writer import BackgroundWriter
 from granflow.observers.base import Observer
 from granflow.observers.coarse_graining.field_frames import FieldFrames
@@ -38,7 +38,12 @@ def observers_for(
         observers.append(ContactFrames(out_dir, output.interval, writer=writer))
     if out_dir is not None and output.walls and plan.walls:
         triangles_of_walls, measured = _wall_triangles(plan), plan.measured_areas
-        observers.append(WallFrames(out_dir, output.interval, triangles_of_walls, writer=writer, measured=measured))
+        unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
+        observers.append(
+            WallFrames(
+                out_dir, output.interval, triangles_of_walls, writer=writer, measured=measured, unbounded=unbounded
+            )
+        )
     if out_dir is not None:
         observers += [field_frames(plan, name, spec, out_dir, writer) for name, spec in output.fields.items()]
     if progress:

@@ -1,6 +1,6 @@
 """Frames for ParaView: particles as points, contacts as lines, walls as triangles."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -149,9 +149,11 @@ class WallFrames(Frames):
         start: float = 0.0,
         writer: BackgroundWriter | None = None,
         measured: Mapping[str, float | None] | None = None,
+        unbounded: Collection[str] = (),
     ) -> None:
         super().__init__(directory, interval, start, writer)
         self._triangles, self._measured = dict(triangles), dict(measured or {})
+        self._unbounded = frozenset(unbounded)
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
@@ -167,7 +169,8 @@ class WallFrames(Frames):
             pose = snapshot.walls.get(name)
             if pose is None or not pose.present:
                 continue
-            points.append(pose.moved(rest_points))
+            moved = pose.moved(rest_points)
+            points.append(_kept_in_place(moved, rest_points) if name in self._unbounded else moved)
             corners.append(rest_corners + point_count)
             walls.append(np.full(len(rest_corners), index, np.int32))
             wall_forces.append(self._traction_and_pressure(snapshot, index, name, len(rest_corners)))
@@ -185,6 +188,18 @@ class WallFrames(Frames):
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
+
+
+def _kept_in_place(moved: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Points (n, 3) [m] of a part of an infinite plane after a motion, shifted back within the plane.
+
+    rest:  the points at rest; a motion within the plane would move the part out of the domain
+    """
+    normal = np.cross(moved[1] - moved[0], moved[2] - moved[0])
+    normal /= np.linalg.norm(normal)
+    shift = moved.mean(axis=0) - rest.mean(axis=0)
+    found: np.ndarray = moved - (shift - (shift @ normal) * normal)
+    return found
 
 
 def _with_derived(particles: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

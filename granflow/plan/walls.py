@@ -188,9 +188,17 @@ def surface_speed(scene: Scene) -> float:
     fastest = 0.0
     for wall in scene.walls.values():
         motions = [each.at(times) for each in planned_motions(wall.motion, scene.gravity)]
-        controlled_speed = sum(_force_controlled_speed(scene, each, extent) for each in wall.motion)
+        controlled_speed = max(
+            sum(_force_controlled_speed(scene, each, extent) for each in wall.motion if is_in_stage(each, stage.name))
+            for stage in scene.schedule
+        )
         fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
     return fastest
+
+
+def is_in_stage(given: Any, stage: str) -> bool:
+    """Whether a motion of the scene can be active in a stage."""
+    return given.stages is None or stage in given.stages
 
 
 def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:

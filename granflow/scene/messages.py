@@ -11,6 +11,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
+from granflow.contact import registry
+from granflow.contact.model import SLOTS
 from granflow.scene.document import Document, KeyPath, Node, Problem
 from granflow.scene.schema.faults import Fault, missing, whole
 from granflow.scene.suggest import nearest, suggestion_or_list
@@ -110,6 +112,8 @@ class _SchemaError:
             return whole(self.path, "is not a known key: this contact model has no options")
         if self.type == "extra_forbidden":
             remedy = suggestion_or_list(str(self.path[-1]), self.keys(), "known keys")
+            if str(self.path[-1]).isdecimal():
+                remedy = f"Numbers have a decimal point, not a comma: such as 0.{self.path[-1]}."
             return whole(self.path, f"is not a known key. {remedy}")
         if self.type == "choice":
             return self._choice()
@@ -157,7 +161,15 @@ class _SchemaError:
         node = self.document.find(path)
         near = nearest(node.text, allowed) if node is not None else None
         hint = f". Did you mean {near}?" if near else ""
+        if node is not None and not near:
+            hint = _elsewhere(node.text)
         return Fault(path, f"it must be {'one of ' * (len(allowed) > 1)}{', '.join(allowed)}{hint}")
+
+
+def _elsewhere(word: str) -> str:
+    """Sentence, after the list of allowed words, on a contact model of another slot; empty for other words."""
+    slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
+    return f". {word} is given as contact.{slot}: {word}" if slot else ""
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:

@@ -104,3 +104,21 @@ def test_two_simulations_that_alternate_in_one_process_do_not_affect_each_other(
         for simulation, expected in zip((first, second), alone, strict=True):
             np.testing.assert_array_equal(simulation.particles.position, expected)
     assert not np.array_equal(*alone)
+
+
+def test_times_of_runs_have_units(taichi_f64):
+    with gf.Simulation(falling()) as simulation:
+        simulation.run(until="1 ms")
+        first = simulation.time
+        assert 0.0 <= first - 1e-3 <= simulation.time_step
+        simulation.run(duration="0.5 ms")
+        assert 0.0 <= simulation.time - first - 0.5e-3 <= 1.01 * simulation.time_step
+        with pytest.raises(ValueError, match="until"):
+            simulation.run(until="2 kg")
+
+
+@pytest.mark.parametrize("name", ["gravity", "time_step", "gravty"])
+def test_attributes_that_would_have_no_effect_cannot_be_set(taichi_f64, name):
+    with gf.Simulation(falling()) as simulation:
+        with pytest.raises(AttributeError, match=f"Simulation.{name} cannot be set: .* add a force"):
+            setattr(simulation, name, 3.0)

@@ -205,3 +205,10 @@ def test_empty_frame_is_a_valid_file_without_points(tmp_path, make, snapshot):
     assert len(mesh.points) == 0 and sum(block.data.size for block in mesh.cells) == 0
     read = read_vtu(path, 2**20)
     assert len(read.points) == 0 and not read.cells and not read.cell_data
+
+
+def test_infinite_plane_moves_along_its_normal_only(tmp_path):
+    """A conveyor belt: the part that is written remains in the domain."""
+    walls = {"belt": turned(0, offset=(5.0, -3.0, 0.25))}
+    WallFrames(tmp_path, 0.1, {"belt": SQUARE}, unbounded=["belt"]).observe(snapshot_of(walls=walls))
+    np.testing.assert_allclose(meshio.read(tmp_path / "walls_0000.vtu").points, SQUARE[0] + [0, 0, 0.25], atol=1e-12)

@@ -16,6 +16,7 @@ from granflow.plan.forecast.advice import required_moduli
 from granflow.plan.forecast.contact import impact_overlap
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
+from granflow.plan.walls import surface_speed
 
 SCENES = list(scene_paths().values())
 RUBBER = {"rubber": {"young_modulus": 5e6, "poisson_ratio": 0.48, "density": 1100.0}}
@@ -167,11 +168,11 @@ def test_overlap_by_cohesion_alone():
 
 def test_servo_that_moves_too_slowly_is_reported_with_a_sufficient_velocity():
     """300 spheres of 4 mm fill at most 300 pi d^3 / 6 / (0.45 A) = 38.8 mm; the lid at 100 mm moves 10 mm in 0.1 s."""
-    (warning,) = warnings_of(bed(1e9, walls=lid(velocity_max=0.1)))
+    (warning,) = warnings_of(bed(1e9, walls=lid(pressure=1e5, velocity_max=0.1)))
     distance = 0.1 - 300 * pi / 6 * 0.004**3 / (0.45 * 0.024**2)
     assert f"the bed is at least {distance:.3g} m away" in warning
     advised = float(warning.split("Set velocity_max to ")[1].split(" m/s")[0])
-    assert warnings_of(bed(1e9, walls=lid(velocity_max=advised))) == []
+    assert warnings_of(bed(1e9, walls=lid(pressure=1e5, velocity_max=advised))) == []
 
 
 def test_wall_far_outside_the_domain_is_reported(tmp_path):
@@ -264,3 +265,50 @@ def test_insertion_that_the_run_is_too_short_for_is_reported(flow):
     )
     assert f"Raise {next(iter(flow))} or the duration" in warning
     assert warnings_of(build_scene({"rain": rain}, run={"duration": 0.6})) == []
+
+
+def test_servo_that_its_gain_slows_down_is_reported():
+    """Without contacts the servo moves at gain F = 1e-3 m/(s N) * 5.76 N, whatever velocity_max permits."""
+    (warning,) = warnings_of(bed(1e9, walls=lid(gain=1e-3)))
+    speed = 1e-3 * 1e4 * 0.024**2
+    assert f"{speed:.3g} m/s, gain times force, less than velocity_max 0.5 m/s" in warning
+    assert "velocity_max to" not in warning
+
+
+def test_servos_of_different_stages_do_not_add_their_speeds():
+    slow, fast = ({"kind": "servo", "direction": [0, 0, -1], "force": 1.0, "velocity_max": v} for v in (0.1, 0.3))
+    walls = lid()
+    stages = {"stages": [{"name": name, "duration": 0.1} for name in ("seat", "press")]}
+    walls["lid"]["motion"] = [slow | {"stages": ["seat"]}, fast | {"stages": ["press"]}]
+    assert surface_speed(bed(1e9, walls=walls, **stages)) == 0.3
+    walls["lid"]["motion"] = [slow, fast]
+    assert surface_speed(bed(1e9, walls=walls, **stages)) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ("materials.glass.density=2.5", "materials.glass.density .* is 2.5 kg/m3, less than light foams"),
+        ("pairs.glass-glass.friction=30", "pairs.glass-glass.friction .* is 30: it is a coefficient"),
+        (
+            "expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]",
+            "angle_of_repose.heap is in rad, and the bound is 30",
+        ),
+    ],
+)
+def test_values_with_a_probably_wrong_unit_are_reported(tmp_path, changes, sentence):
+    heap = "output.metrics={heap: {kind: repose, surface: cone}}"
+    assert any(re.search(sentence, each) for each in warnings_of(scene_of(tmp_path, heap, changes)))
+
+
+def test_a_drum_at_180_rad_per_second_is_reported():
+    motion = {"kind": "rotation", "point": [0, 0, 0], "axis": [0, 1, 0], "angular_velocity": 180}
+    drum = {"shape": "cylinder", "from": [0, 0, 0], "to": [0, 0.1, 0], "radius": 0.1, "material": "glass"}
+    warnings = warnings_of(bed(1e12, walls={"drum": drum | {"motion": motion}}))
+    assert any("Angular velocities are in rad/s" in each for each in warnings)
+
+
+def test_a_modulus_above_that_of_all_materials_is_not_advised():
+    """Impacts of 4 mm spheres at 4 km/s, in place of 4 m/s."""
+    run = {"duration": 0.2, "velocity_max": 4000.0}
+    assert any("check the units of lengths" in each.lower() for each in warnings_of(bed(1e9, run=run)))

@@ -26,6 +26,11 @@ SCENES = Path(__file__).parents[2] / "scenes"
         ("pairs.glass-glass.coefficientFriction=0.5", "Did you mean friction?"),
         ("run.dt=1e-5", "Did you mean time_step?"),
         ("walls.floor.motion={kind: wiggle}", "Did you mean vibration?"),
+        ("contact.rolling=epsd2", "Did you mean epsd?"),
+        ("contact.normal=hooke/hysteresis", "Did you mean luding?"),
+        ("contact.normal=jkr", "jkr is given as contact.cohesion: jkr"),
+        ("particles.beads.radius=2 mm", "Did you mean diameter?"),
+        ("pairs.glass-glass={restitution: 0.9, friction: 0,3}", "Numbers have a decimal point, not a comma"),
     ],
 )
 def test_names_of_other_codes_are_recognized(tmp_path, override, suggestion):

@@ -5,8 +5,11 @@ from collections.abc import Callable, Mapping
 from granflow.contact.material import Solid
 from granflow.plan.forecast.contact import TouchingPair
 
-LARGEST_FACTOR = 1e6
+LARGEST_FACTOR = 1e12
 """Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a number."""
+
+HARDEST = 1.2e12
+"""Young's modulus [Pa] of diamond: if more is required, a unit is probably wrong."""
 
 MARGIN = 1.1
 """Recommended over required modulus: of rounding, and of several contacts at a time."""
@@ -68,6 +71,9 @@ def rounded_up(value: float) -> float:
 
 def modulus_text(moduli: Mapping[str, float]) -> str:
     """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
+    if (highest := max(moduli.values(), default=0.0)) > HARDEST:
+        words = modulus_words(highest)
+        return f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be required"
     parts = [f"materials.{name}.young_modulus to {modulus_words(value)}" for name, value in moduli.items()]
     return f"set {' and '.join(parts)}"
 

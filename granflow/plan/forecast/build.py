@@ -11,6 +11,7 @@ from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
 from granflow.plan.forecast.regions import region_warnings
 from granflow.plan.forecast.servos import servo_warnings
+from granflow.plan.forecast.units import unit_warnings
 from granflow.plan.forecast.walls import size_warnings, wall_warnings
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.wall_control import ControlledMotion
@@ -39,5 +40,6 @@ def forecasts_of(
         *region_warnings(scene, walls),
         *servo_warnings(scene, walls, controlled),
         *insertion_warnings(scene),
+        *unit_warnings(scene),
     ):
         yield Forecast("", "", sentence, sentence)

@@ -26,11 +26,12 @@ MARGIN = 1.2
 def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Sequence[ControlledMotion]) -> Iterator[str]:
     """A sentence for each servo whose travel is shorter than its distance from the bed.
 
-        v_max t < L - V / (phi A)
+        v t < L - V / (phi A),     v = min(v_max, gain F)
 
-    t: time of its motion; L: distance along its direction to the next wall or the end of the domain; V: volume of all
-    particles, which fill at most the height V / (phi A) above that wall with the loosest solid fraction phi over the
-    area A of the servo. A bed beside the servo is lower: the distance is a lower bound.
+    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the next wall or
+    the end of the domain; V: volume of all particles, which fill at most the height V / (phi A) above that wall with
+    the loosest solid fraction phi over the area A of the servo. A bed beside the servo is lower: the distance is a
+    lower bound.
     """
     times = nominal_times(scene)
     for motion in controlled:
@@ -41,13 +42,18 @@ def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Seque
             continue
         duration = _duration(given, times)
         distance = _free_path(scene, walls, motion) - solid_volume(scene) / (LOOSEST * area)
-        travel = motion.velocity_max * duration
+        free_velocity = motion.gain * abs(motion.force)
+        travel = min(motion.velocity_max, free_velocity) * duration
         if travel < distance:
+            needed = MARGIN * distance / duration
+            speed = f"{min(motion.velocity_max, free_velocity):.3g} m/s"
+            if free_velocity < motion.velocity_max:
+                speed += f", gain times force, less than velocity_max {motion.velocity_max:.3g} m/s,"
+            faster = f"Set velocity_max to {needed:.2g} m/s or more, give" if free_velocity > needed else "Give"
             yield (
                 f"walls.{motion.name}.motion ({motion.source}): the servo moves at most {travel:.3g} m "
-                f"({motion.velocity_max:.3g} m/s for {duration:.3g} s), but the bed is at least {distance:.3g} m away: "
-                f"it never reaches {motion.force:.3g} N. Set velocity_max to {MARGIN * distance / duration:.2g} m/s or "
-                "more, give it more time, or start it closer to the bed."
+                f"({speed} for {duration:.3g} s), but the bed is at least {distance:.3g} m away: "
+                f"it never reaches {motion.force:.3g} N. {faster} it more time, or start it closer to the bed."
             )
 
 

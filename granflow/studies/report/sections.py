@@ -40,7 +40,9 @@ class Readings(NamedTuple):
 
 
 FLOW_CAPTION = "Flow meters at the end of the run; the mass flow rate is the steady one."
-FORCE_CAPTION = "Forces of the particles on the walls: means over the run, and the largest value of a row."
+FORCE_CAPTION = (
+    "Forces of the particles on the walls: means over the last stage, and the largest value of a row in the run."
+)
 READINGS = {
     "Flow": Readings(FLOW_METER_QUANTITIES, "flow_meters", FLOW_CAPTION),
     "Wall forces": Readings(WALL_FORCE_QUANTITIES, "wall_forces", FORCE_CAPTION),
@@ -66,7 +68,10 @@ def state_of(record: Run) -> str:
         return "The run is in progress; this page shows its present state."
     if record.result_sections:
         parts = len(sessions(record.log))
-        return f"The run is complete; it was resumed ({parts} sessions)." if parts > 1 else "The run is complete."
+        resumed = f"; it was resumed ({parts} sessions)" if parts > 1 else ""
+        if not record.result_sections.get("complete", True):
+            return f"The run ended before its last stage{resumed}: granflow resume {record.directory} continues it."
+        return f"The run is complete{resumed}."
     text = next((entry.text for entry in reversed(record.log) if entry.text.startswith(ENDED_BY)), "")
     why = f" ({ENDED_BY}{text.removeprefix(ENDED_BY).partition(':')[0]}: see the warnings)" if text else ""
     resume = f"granflow resume {record.directory} continues from its last checkpoint, if it has one."
