@@ -33,12 +33,26 @@ def test_scale_replaces_the_reference():
 
 @pytest.mark.parametrize(("value", "exit_code"), [(2.0, 0), (3.0, 1)])
 def test_wrong_number_fails_with_exit_code_1(tmp_path, monkeypatch, capsys, value, exit_code):
-    monkeypatch.setattr(report.write_validation, "__defaults__", ({"one": lambda: [case(value)]}, lambda text: None))
+    monkeypatch.setattr(report, "FAMILIES", {"one": lambda: [case(value)]})
     assert main(["validate", "--out", str(tmp_path)]) == exit_code
     assert ("fail: kind, name: 3 instead of 2 m" in capsys.readouterr().out) == bool(exit_code)
     status = "fail" if exit_code else "pass"
     assert json.loads((tmp_path / "validation.json").read_text())["cases"][0]["status"] == status
     assert f">{status}<" in (tmp_path / "validation.html").read_text()
+
+
+def test_quick_runs_its_own_cases(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "FAMILIES", {"long": lambda: [case(3.0)]})
+    monkeypatch.setattr(report, "QUICK", {"short": lambda: [case(2.0)]})
+    assert main(["validate", "--quick", "--out", str(tmp_path)]) == 0
+    assert "--quick" in (tmp_path / "validation.md").read_text()
+
+
+def test_deviation_beyond_the_range_of_a_reference_is_a_miss(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(report, "FAMILIES", {"one": lambda: [case(3.0, in_range=False)]})
+    assert main(["validate", "--out", str(tmp_path)]) == 0
+    assert "miss: kind, name: 3 instead of 2 m" in capsys.readouterr().out
+    assert case(float("nan"), in_range=False).status == "fail"
 
 
 def test_page_of_the_documentation_equals_its_stored_data():
