@@ -73,5 +73,6 @@ def test_elastic_collision_and_incline_pass(taichi_f64):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_all_cases_pass(taichi_f64):
     assert not [each.name for family in report.FAMILIES.values() for each in family() if each.status == "fail"]

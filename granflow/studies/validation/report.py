@@ -17,6 +17,7 @@ from granflow.studies.validation.collisions import elastic_cases, restitution_ca
 from granflow.studies.validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
 from granflow.studies.validation.motion import motion_cases
 from granflow.studies.validation.oblique import oblique_cases
+from granflow.studies.validation.peers import peer_cases
 from granflow.studies.validation.rheology import cell_cases, layer_cases
 from granflow.studies.validation.silo import QUICK_COUNT as QUICK_SILO
 from granflow.studies.validation.silo import SINGLE, discharge_cases, janssen_cases
@@ -48,6 +49,8 @@ FAMILIES: Mapping[str, Family] = {
     "discharge of a silo": discharge_cases,
     "layer on a slope": layer_cases,
     "sheared box": cell_cases,
+    "column of LIGGGHTS and LAMMPS": partial(peer_cases, "column"),
+    "hopper of LIGGGHTS and LAMMPS": partial(peer_cases, "hopper"),
 }
 """All cases."""
 HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "note")
