@@ -34,15 +34,6 @@ PERTURBATION, REPEATS = 1e-6, 3
 """Relative change of the initial velocities in repeated runs, and their number."""
 MODEL_ERROR = 0.02
 """Difference between the codes for equal parameters: end of a contact with or without tension, walls of triangles."""
-OTHER_GEOMETRY = {
-    (
-        "LAMMPS",
-        "hopper",
-        "mass flow rate [kg/s]",
-    ): "The wall of LAMMPS does not act on particles whose center has passed "
-    "the lower end of the cone (region with open faces): not the same orifice, hence beyond the comparison",
-}
-"""Figures of a peer whose geometry is not that of the scene, with the reason."""
 LAW = {"normal": "hertz", "rolling": "none"}
 TANGENTIAL = {"law": "mindlin", "increments": "displacement", "unloading": "kept", "damping": 0.9258}
 """Law of LIGGGHTS and of `mindlin` in LAMMPS: damping over that of the normal force sqrt(4 G*/E*)."""
@@ -217,8 +208,6 @@ def compared(case: str, runs: list[dict[str, float]], stored: Mapping[str, Any])
                     mean, unit.rstrip("]") or "1", MODEL_ERROR + 3.0 * spread,
                     f"{100 * MODEL_ERROR:g} % between implementations, and three standard deviations of the difference "
                     f"between one run and the mean of {len(runs)}; their velocities differ by {PERTURBATION:g}",
-                    remark=OTHER_GEOMETRY.get((peer, case, name), ""),
-                    in_range=(peer, case, name) not in OTHER_GEOMETRY,
                 )
             )  # fmt: skip
     return found

@@ -26,7 +26,7 @@ ANGLE_ERROR = 2.0
 FRACTION_ERROR = 0.03
 """Differences between solid fractions of glass beads and of simulated spheres with this friction."""
 LARGEST_I = 0.3
-"""Largest I for which the laws were measured."""
+"""Approximate limit of dense flows (GDR MiDi 2004, doi 10.1140/epje/i2003-10153-0)."""
 SLOPE = np.tan(np.radians(25.0))
 """Ratio of shear to normal stress in steady flow down the slope of `sheared_layer`."""
 DIAMETER, DENSITY, RATE = 4e-3, 2500.0, 20.0
@@ -103,9 +103,9 @@ def cell_cases(overrides: Sequence[str] = ()) -> list[ValidationCase]:
 def shear_cases(name: str, found: Shear) -> list[ValidationCase]:
     """Friction and solid fraction of a flow against the published laws at its inertial number."""
     number, in_range = found.inertial_number, found.inertial_number <= LARGEST_I
-    remark = "Laws of glass beads; the parameters depend on friction and size distribution. " + (
-        "" if in_range else f"Measured up to I = {LARGEST_I:g}: beyond the range."
-    )
+    remark = "Laws of glass beads; the parameters depend on friction and size distribution"
+    if not in_range:
+        remark += f". Dense flows, for which they hold, have I below about {LARGEST_I:g}: beyond the range"
     low, middle, high = (np.tan(np.radians(np.degrees(np.arctan(friction_at(number))) + each)) for each in (-2, 0, 2))
     return [
         ValidationCase(

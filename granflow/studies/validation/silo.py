@@ -8,7 +8,6 @@ length l = R / (2 mu K), with the ratio K of horizontal to vertical stress:
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -182,23 +181,33 @@ def discharge_case(orifice: float, flow: float) -> ValidationCase:
         "Discharge of a flat-bottomed silo", f"flow through {1e3 * orifice:g} mm, {orifice / DIAMETER:.3g} diameters",
         beverloo_flow(orifice), BEVERLOO, flow, "kg/s", PARAMETER_ERROR * math.hypot(1.0, share),
         "10 % of C and 10 % of k, independent of each other",
-        remark="C = 0.58 and k = 1.4 are means over materials; C depends on the friction of the particles.",
+        remark="C = 0.58 and k = 1.4 are means over materials; C decreases with the friction of the particles (0.5). "
+        "The scatter of the flow, about 2.5 %, is not part of the allowed deviation",
         in_range=orifice >= 5.0 * DIAMETER,
     )  # fmt: skip
 
 
 def fitted_cases(data: Discharge) -> list[ValidationCase]:
-    """Exponent at the published k, and k at the exponent 5/2."""
-    free = fit_beverloo(data, DIAMETER, BULK_DENSITY, exponent=None)
-    fixed = fit_beverloo(data, DIAMETER, BULK_DENSITY)
-    rows: list[tuple[str, float, float, float, Any]] = [
-        ("k at the exponent 5/2", K, fixed.k, fixed.k_error, PARAMETER_ERROR * K),
-        ("exponent, fitted with C and k", 2.5, free.exponent, free.exponent_error, 0.0),
-    ]
+    """k at the exponent 5/2, and the exponent at the published k."""
+    fit = fit_beverloo(data, DIAMETER, BULK_DENSITY)
+    exponent, error = exponent_at(data, K)
+    shift = abs(exponent_at(data, (1.0 + PARAMETER_ERROR) * K)[0] - exponent)
+    rows = (
+        ("k at the exponent 5/2", K, fit.k, 3.0 * fit.k_error + PARAMETER_ERROR * K, "10 % of k"),
+        ("exponent at k = 1.4", 2.5, exponent, 3.0 * error + shift, "the change of the exponent for 10 % of k"),
+    )
     return [
         ValidationCase(
-            "Discharge of a flat-bottomed silo", name, reference, BEVERLOO, value, "1",
-            3.0 * error + published, "three standard errors of the fit, and 10 % of the published k", scale=1.0,
+            "Discharge of a flat-bottomed silo", name, reference, BEVERLOO, value, "1", allowed,
+            f"three standard errors of the fit, and {published}", scale=1.0,
         )
-        for name, reference, value, error, published in rows
+        for name, reference, value, allowed, published in rows
     ]  # fmt: skip
+
+
+def exponent_at(data: Discharge, k: float) -> tuple[float, float]:
+    """Exponent of D - k d for a given k, and its standard error, from the slope of ln W over ln(D - k d)."""
+    x, y = np.log(data.orifice - k * DIAMETER), np.log(data.mass_flow)
+    slope, level = np.polyfit(x, y, 1)
+    residual = float(np.sum((y - slope * x - level) ** 2))
+    return float(slope), math.sqrt(residual / (len(x) - 2) / float(np.sum((x - x.mean()) ** 2)))
