@@ -28,7 +28,7 @@ from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
-from granflow.runs.ranks import NO_CHECKPOINTS, refuse_on_ranks
+from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
@@ -67,7 +67,7 @@ class Simulation:
     plan:           replaces the plan of the scene
     forces:         forces on particles from device functions
     overwrite:      replace an earlier run in `out` after the first frame of the new one
-    communicator:   distributes the particles over MPI ranks; this process is the root, and no checkpoint is written
+    communicator:   distributes the particles over MPI ranks; this process is the root
     Raises:         SceneError for an invalid scene, GranflowError if `arch` is not available, the run cannot be
                     resumed, `out` contains an earlier run, or `particles` does not match the groups of the scene
 
@@ -99,14 +99,12 @@ class Simulation:
         wall_clock = WallClock()
         refuse_other_object(scene)
         if communicator is not None:
-            refuse_on_ranks(scene, arch, forces, resume)
+            refuse_on_ranks(arch, forces)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
         if precision is not None:
             scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
-        self.files = RunDirectory(
-            None if out is None else Path(out), scene, resume, overwrite, checkpoints=communicator is None
-        )
+        self.files = RunDirectory(None if out is None else Path(out), scene, resume, overwrite)
         original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
         plan = original if resume is None else changed_plan(original, resume)
         plan = plan_with_forces(plan, forces, backend)
@@ -117,8 +115,6 @@ class Simulation:
             refuse_other_functions(resume, plan.external_forces, [*map(name_of, observers)], allow_changes)
         initial, earlier = initial_state(scene, plan, particles, resume)
         self.warnings = warnings_before(scene, plan, initial)
-        if communicator is not None:
-            self.warnings.append(NO_CHECKPOINTS)
         insertion = ParticleInsertion(scene, earlier)
         self.files.create()
         self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)

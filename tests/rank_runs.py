@@ -21,14 +21,13 @@ from scene_builders import (  # noqa: E402
     particle_group,
     vibrating_box,
 )  # noqa: E402
+from sheared_scenes import sheared_gas  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
-from granflow.engine.host_copy import copy_to_host  # noqa: E402
 from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
-from granflow.parallel.histories import HistoryTable  # noqa: E402
 from granflow.parallel.rank_engine import RankEngine  # noqa: E402
 from granflow.parallel.serve import controlling, serve  # noqa: E402
 from granflow.plan import plan as plan_module  # noqa: E402
@@ -97,6 +96,27 @@ def in_precision(precision):
     )
 
 
+def with_outlet():
+    """The bed above a hole in the floor, with an outlet behind it."""
+    walls = box(0.042)
+    del walls["low_z"]
+    outlets = {"hole": {"box": {"min": [-0.01, -0.01, -0.02], "max": [0.03, 0.05, 0.002]}}}
+    domain = {"min": [-0.01, -0.01, -0.03], "max": [0.05, 0.05, 0.05], "on_exit": "delete"}
+    return bed(1500, walls=walls, outlets=outlets, domain=domain)
+
+
+def with_piston(motion):
+    """The bed under a lid that a force moves."""
+    walls = vibrating_box(0.042)
+    walls["high_z"]["motion"] = {"direction": [0, 0, -1], **motion}
+    return bed(1500, walls=walls)
+
+
+def sheared():
+    """A cloud of two sizes in a Lees-Edwards box."""
+    return sheared_gas(duration=0.008, sizes=(0.002, 0.0065))
+
+
 SCENES = {
     "short": bed,
     "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
@@ -107,6 +127,11 @@ SCENES = {
     "inserted": inserted,
     "periodic": periodic,
     "wide_sizes": wide_sizes,
+    "outlet": with_outlet,
+    "servo": lambda: with_piston({"kind": "servo", "force": 2.0, "velocity_max": 0.5}),
+    "free": lambda: with_piston({"kind": "free", "mass": 0.01}),
+    "adaptive": lambda: bed(run={"duration": 3e-3, "velocity_max": 4.0, "time_step": "adaptive"}),
+    "sheared": sheared,
     "mixed": lambda: in_precision("mixed"),
     "f32": lambda: in_precision("f32"),
 }
@@ -147,47 +172,30 @@ def failing_engine():
 def save(path, simulation):
     """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
     simulation.run()
-    last, engine = simulation.snapshot(), simulation.engine
-    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "totals", "impulses")
+    last, engine = simulation.snapshot(contacts=True), simulation.engine
+    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "contacts", "totals", "impulses")
               for name, value in getattr(last, kind).items()}  # fmt: skip
     counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
-        counts["growths"] = engine.timing.growth_count
+        counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations()}
     np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
     simulation.free()
 
 
 def histories(engine):
     """Contact histories of all particles, ordered by the ids of owner and partner."""
-    if isinstance(engine, ObservedEngine):
-        return engine.histories()
-    return sorted_histories([with_owners(engine.state, copy_to_host(engine.state, ("id",))["id"])])
-
-
-def with_owners(state, ids):
-    """Ids of the owners of all contacts of a rank, and the histories."""
-    found = HistoryTable(state).read(ids, state.count)
-    return np.repeat(ids[: state.count], found.count), found
-
-
-def sorted_histories(pairs):
-    """Arrays of the histories of several ranks, each with the ids of the owners."""
-    owner, parts = np.concatenate([ids for ids, _ in pairs]), [part for _, part in pairs]
-    partner = np.concatenate([part.partner for part in parts])
-    order = np.lexsort((partner, owner))
-    values = {slot: np.concatenate([part.values[slot] for part in parts])[order] for slot in parts[0].values}
-    return {"history.pairs": np.stack([owner, partner])[:, order], **{f"history.{k}": v for k, v in values.items()}}
+    particles = engine.saved_particles().by_id()
+    found = particles.histories
+    pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
+    return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
 
 
 class ObservedEngine(RankEngine):
-    """An engine whose root also returns the contact histories of all ranks and the numbers of migrations."""
+    """An engine whose root also returns the numbers of migrations."""
 
-    def histories(self):
-        with self.communicator.commanding("histories"):
-            rebuild = self.stepper._rank_rebuild
-            parts = self.communicator.to_root(with_owners(self.state, rebuild._ids))
-            sent = self.communicator.to_root(sum(Recorded.sent[1:]))
-        return sorted_histories(parts) | {"migrations": np.array(sent)} if parts else {}
+    def migrations(self):
+        with self.communicator.commanding("migrations"):
+            return np.array(self.communicator.to_root(sum(Recorded.sent[1:])))
 
 
 class Recorded(Decomposition):

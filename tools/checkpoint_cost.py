@@ -67,10 +67,10 @@ def block(out: Path) -> dict[str, float]:
         seconds.append(time.perf_counter() - began)
     path = max(out.glob("checkpoint_*.npz"))
     began = time.perf_counter()
-    neighbors = read_checkpoint(path).saved["engine"]["neighbors"]
+    contacts = read_checkpoint(path).saved["engine"]["contacts"]
     return {
         "particles": count,
-        "list_entries_per_particle": len(neighbors["partner"]) / count,
+        "contacts_per_particle": len(contacts["partner"]) / count,
         "bytes": path.stat().st_size,
         "bytes_per_particle": path.stat().st_size / count,
         "seconds": sorted(seconds)[TIMES // 2],

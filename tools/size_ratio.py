@@ -13,7 +13,7 @@ from math import ceil, inf, log2
 
 import numpy as np
 
-from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.load import Scene
 from granflow.plan import size_classes
 from granflow.simulation import Simulation
@@ -66,14 +66,14 @@ def settled_beds(ratio: float, count: int) -> tuple[Simulation, Simulation]:
     size_classes.CLASSES_FROM_RATIO = inf
     one_grid = Simulation(scene, threads=1)
     size_classes.CLASSES_FROM_RATIO = threshold
-    EngineCheckpoint(one_grid.engine).load_state_dict(EngineCheckpoint(by_class.engine).state_dict(), [()])
+    restore_state(one_grid.engine, saved_state(by_class.engine), [()])
     return by_class, one_grid
 
 
 def cpu_seconds(simulation: Simulation) -> tuple[float, float]:
     """CPU time [s] of one rebuild, and of one step without rebuild."""
     stepper, began = simulation.engine.stepper, time.process_time()
-    stepper.rebuild_neighbor_lists()
+    stepper.rebuild_neighbor_lists(0)
     rebuild, rebuilds_before = time.process_time() - began, stepper.timing.rebuild_count
     stepper.forces(history_step=0.0)
     stepping = time.process_time()

@@ -66,6 +66,13 @@ def add_allow_long(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-long", action="store_true", help="accept a run estimated to take more than a year")
 
 
+def add_mpi(parser: argparse.ArgumentParser) -> None:
+    """Add --mpi."""
+    parser.add_argument(
+        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs granflow[mpi]"
+    )
+
+
 def quantity(dimension: str) -> Callable[[str], float]:
     """Return a converter for argparse from text such as 25.4mm to SI.
 

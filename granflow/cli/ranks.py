@@ -1,4 +1,4 @@
-"""`granflow run --mpi`: the root runs the scene, the other ranks compute their part of each step."""
+"""`--mpi` of `granflow run` and `resume`: the root runs the scene, the others compute their part of each step."""
 
 import argparse
 import logging
@@ -6,19 +6,25 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from granflow.cli.arguments import load_runnable
 from granflow.cli.signals import ignore_stops
 from granflow.io.machine import allowed_cores
 
 if TYPE_CHECKING:
+    from granflow.load import Scene
     from granflow.parallel.communicator import Communicator
     from granflow.parallel.rank_engine import RankEngine
+    from granflow.plan.plan import Plan
 
 
-def on_ranks(options: argparse.Namespace, run: "Callable[[Communicator], int]") -> int:
+def on_ranks(
+    options: argparse.Namespace,
+    run: "Callable[[Communicator], int]",
+    scene_and_plan: "Callable[[], tuple[Scene, Plan]]",
+) -> int:
     """Run a scene on all ranks and return the exit code; 0 on all but the root.
 
-    run:  what the root does, with the communicator
+    run:             what the root does, with the communicator
+    scene_and_plan:  what the others read when the root has a plan
 
     Raises GranflowError without mpi4py, and on the root the exceptions of `run`.
     """
@@ -32,7 +38,7 @@ def on_ranks(options: argparse.Namespace, run: "Callable[[Communicator], int]") 
             return run(communicator)
     ignore_stops()
     logging.getLogger("granflow").setLevel(logging.CRITICAL)
-    serve(communicator, lambda: _rank_engine(options, communicator))
+    serve(communicator, lambda: _rank_engine(options, communicator, *scene_and_plan()))
     return 0
 
 
@@ -42,11 +48,11 @@ def threads_per_rank(communicator: "Communicator") -> int:
     return max(cores // ranks if cores == os.cpu_count() else cores, 1)
 
 
-def _rank_engine(options: argparse.Namespace, communicator: "Communicator") -> "RankEngine":
+def _rank_engine(
+    options: argparse.Namespace, communicator: "Communicator", scene: "Scene", plan: "Plan"
+) -> "RankEngine":
     """The engine of a rank that is not the root."""
     from granflow.engine.backend import start
     from granflow.parallel.rank_engine import RankEngine
-    from granflow.plan.build import plan_for
 
-    scene = load_runnable(options)
-    return RankEngine(plan_for(scene), start("cpu", scene.run.precision, options.threads), communicator)
+    return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator)

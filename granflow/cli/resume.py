@@ -4,10 +4,11 @@ import argparse
 import logging
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_allow_long, add_machine, simulated_time, thread_count
+from granflow.cli.arguments import add_allow_long, add_machine, add_mpi, simulated_time, thread_count
 from granflow.cli.messages import exit_code_of, print_error, say, show_result, warn, warned
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
@@ -16,6 +17,8 @@ from granflow.visible_text import VisibleFormatter
 if TYPE_CHECKING:
     from granflow.io.checkpoint import Checkpoint
     from granflow.load import Scene
+    from granflow.parallel.communicator import Communicator
+    from granflow.plan.plan import Plan
     from granflow.simulation import Simulation
 
 EXIT_EXPECTATIONS_FAILED = 1
@@ -48,16 +51,25 @@ def resume(options: argparse.Namespace) -> int:
     out: Path = options.directory
     if not out.is_dir():
         raise GranflowError(f"{out}: no such directory; give the directory of a run.")
-    from granflow.io.lock import locked
+    from granflow.cli.ranks import on_ranks
     from granflow.parallel.launch import refuse_without_mpi_flag
 
+    if options.mpi:
+        return on_ranks(options, partial(_resume, options, out), partial(_resumed_plan, options))
     refuse_without_mpi_flag()
+    return _resume(options, out)
+
+
+def _resume(options: argparse.Namespace, out: Path, communicator: "Communicator | None" = None) -> int:
+    """Resume in the locked directory: no other process can continue or replace the run at the same time."""
+    from granflow.io.lock import locked
+
     with locked(out):
-        return _resume(options, out)
+        return _resume_locked(options, out, communicator)
 
 
-def _resume(options: argparse.Namespace, out: Path) -> int:
-    """Resume in a locked directory: no other process can continue or replace the run at the same time.
+def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Communicator | None") -> int:
+    """Resume, on the ranks of the communicator if there is one.
 
     Raises GranflowError if rows of the time series are missing, unless --allow-changes is given.
     """
@@ -68,7 +80,7 @@ def _resume(options: argparse.Namespace, out: Path) -> int:
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
-        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True,
+        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True, communicator=communicator,
     )  # fmt: skip
     if not (simulation.observers.rows_intact or options.allow_changes):
         raise GranflowError(
@@ -104,6 +116,17 @@ def checkpoint_to_resume(out: Path, from_start: bool, printed: list[str]) -> "Ch
     if checkpoint is None and (out / SCENE).exists():
         printed += warned([f"{out} contains neither a checkpoint nor results: the run begins from the start."])
     return checkpoint
+
+
+def _resumed_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
+    """The scene and the plan of the run that the root resumes, on another rank."""
+    from granflow.io.checkpoint import newest_checkpoint
+    from granflow.plan.build import plan_for
+    from granflow.runs.python_changes import changed_plan
+
+    checkpoint = None if options.from_start else newest_checkpoint(options.directory)[0]
+    scene = scene_to_resume(options, checkpoint)
+    return scene, plan_for(scene) if checkpoint is None else changed_plan(plan_for(scene), checkpoint)
 
 
 def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
@@ -192,6 +215,7 @@ def add_resume(verbs: Any) -> None:
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
     )
+    add_mpi(parser)
     add_allow_long(parser)
     add_machine(parser)
     parser.set_defaults(verb=resume)

@@ -5,12 +5,14 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import (
     add_allow_long,
     add_machine,
+    add_mpi,
     add_scene_verb,
     load,
     load_runnable,
@@ -23,6 +25,7 @@ from granflow.errors import GranflowError
 if TYPE_CHECKING:
     from granflow.load import Scene
     from granflow.parallel.communicator import Communicator
+    from granflow.plan.plan import Plan
 
 
 def run(options: argparse.Namespace) -> int:
@@ -35,9 +38,17 @@ def run(options: argparse.Namespace) -> int:
     from granflow.parallel.launch import refuse_without_mpi_flag
 
     if options.mpi:
-        return on_ranks(options, lambda communicator: run_scene(options, communicator))
+        return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
     refuse_without_mpi_flag()
     return run_scene(options)
+
+
+def scene_and_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
+    """The scene of a run and its plan."""
+    from granflow.plan.build import plan_for
+
+    scene = load_runnable(options)
+    return scene, plan_for(scene)
 
 
 def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
@@ -92,10 +103,6 @@ def check(options: argparse.Namespace) -> int:
     their packing is not checked.
     """
     scene = load(options)
-    if options.mpi:
-        from granflow.runs.ranks import refuse_on_ranks
-
-        refuse_on_ranks(scene)
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
@@ -144,7 +151,7 @@ def add_check(verbs: Any) -> None:
     """Add `granflow check` and its arguments."""
     parser = add_scene_verb(verbs, check, "report all errors of a scene without running it")
     add_allow_long(parser)
-    parser.add_argument("--mpi", action="store_true", help="also report what does not work with run --mpi")
+    parser.add_argument("--mpi", action="store_true", help="for a run on MPI ranks, each with a part of the particles")
 
 
 def add_run(verbs: Any) -> None:
@@ -161,9 +168,7 @@ def add_run(verbs: Any) -> None:
         action="store_true",
         help="replace an earlier run in the same directory after the first frame of the new run",
     )
-    parser.add_argument(
-        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs granflow[mpi]"
-    )
+    add_mpi(parser)
     add_machine(parser)
 
 

@@ -18,9 +18,11 @@ from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import append_particles, copy_to_host
+from granflow.engine.host_particles import HostParticles
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
+from granflow.engine.saved_sums import load_sums, load_wall_dynamics, saved_sums, saved_wall_dynamics
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
 from granflow.engine.state import FreedState, State
@@ -290,10 +292,45 @@ class Engine:
             self.state.clock.change(step)
             self.stepper.discard_poses()
 
-    def mark_resumed(self, steps_since_update: int) -> None:
-        """Continue a resumed run: clock, particles, walls and contacts have been restored."""
-        self.steps_since_update = steps_since_update
+    def saved_particles(self) -> HostParticles:
+        """All particles with their contact histories, for a checkpoint."""
+        return self.stepper.saved_particles()
+
+    def saved_sums(self) -> dict[str, Any]:
+        """Sums and force-controlled walls, for a checkpoint."""
+        return {"energy_budget": saved_sums(self.state), "wall_dynamics": saved_wall_dynamics(self.state)}
+
+    def restore(self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]) -> None:
+        """Continue from a checkpoint.
+
+        saved:      as `engine.checkpoint.saved_state`, without the particles and the clocks
+        particles:  in the order of their ids
+        motions:    motions of each wall
+        """
+        self._restore_lists(saved, particles, motions)
+        self.state.clock.load_state_dict(saved["clock"])
+        self.set_walls(saved["walls_present"], motions)
+        load_sums(self.state, saved["energy_budget"])
+        load_wall_dynamics(self.state, saved["wall_dynamics"])
+        self.accounting.load_state_dict(saved["accounting"])
+        self.steps_since_update = saved["steps_since_update"]
         self._started, self._walls_changed = True, False
+
+    def _restore_lists(
+        self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]
+    ) -> None:
+        """Put the particles on the device; with the neighbor lists of their last rebuild, if it is known."""
+        if saved["clock_at_rebuild"] is None:
+            self.stepper.put(particles)
+            return
+        dynamics = dict(saved["wall_dynamics"])
+        if "offset" in dynamics:
+            dynamics["offset"] = dynamics["offset_at_rebuild"]
+        load_wall_dynamics(self.state, dynamics)
+        self.state.clock.load_state_dict(saved["clock_at_rebuild"])
+        self.set_walls(saved["walls_present"], motions)
+        self.stepper.restore(particles)
+        self.stepper.steps_since_rebuild = saved["clock"]["step_count"] - self.state.clock.step_count
 
     def take_over(self, earlier: "Engine") -> None:
         """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending changes."""
@@ -341,7 +378,7 @@ class Engine:
             arrays["position"], arrays["velocity"], self.time
         )
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
-        contacts = self.state.built(ContactOutput).take(arrays, pose) if "contacts" in quantities else None
+        contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
         impulses = wall_impulses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 

@@ -101,6 +101,13 @@ def carried(sums, count: ti.template()):
     return result
 
 
+def canonical(sums: np.ndarray) -> np.ndarray:
+    """Two-word sums (..., 2 terms), int64, with the same totals and low words in [0, 2^CARRY_BITS)."""
+    low, high = np.split(sums, 2, axis=-1)
+    carry = low >> CARRY_BITS
+    return np.concatenate([low - (carry << CARRY_BITS), high + carry], axis=-1)
+
+
 def exact_totals(sums: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
     """Totals of two-word sums over all axes but the last.
 

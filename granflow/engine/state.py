@@ -273,8 +273,8 @@ class State:
 
     @property
     def chunk_count(self) -> int:
-        """Number of chunks that contain particles."""
-        return -(-self.count // self.plan.chunk_size)
+        """Number of chunks that contain particles, at least 1: the first chunk has the forces on walls of all ranks."""
+        return max(-(-self.count // self.plan.chunk_size), 1)
 
     def parameter(self, name: str) -> Any:
         """Device function (): a parameter of the plan, see `Parameters`."""

@@ -10,7 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
+from granflow.engine.contact_histories import HistoryTable
 from granflow.engine.force.external_forces import write_force_inputs
+from granflow.engine.host_copy import saved_particle_table
+from granflow.engine.host_particles import HostParticles
 from granflow.engine.neighbor.rebuild import NeighborListRebuild
 from granflow.engine.periodic_box import upload_offsets
 from granflow.engine.state import BATCH, LANES, State
@@ -81,6 +86,15 @@ class Rebuild(Protocol):
     def run(self, pose: int, workers: int) -> None:
         """Rebuild the lists at an index of the wall poses, with a number of workers."""
 
+    def put(self, particles: HostParticles) -> None:
+        """Put particles on an empty device; the next rebuild lists them."""
+
+    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
+        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
+
+    def ids(self) -> np.ndarray:
+        """Ids of all particles that lists can contain, by index."""
+
 
 class Stepper:
     """Advances a State by steps.
@@ -88,13 +102,15 @@ class Stepper:
     state:       device data
     on_deleted:  see the class of the rebuild, `NeighborListRebuild`
 
-    `interrupted` stops `advance` after the present launch.
+    `interrupted` stops `advance` after the present launch. `clock_at_rebuild`: state of the clock at the last rebuild,
+    None before the first.
     """
 
     def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
         self.state = state
         self.timing = Timing()
         self.steps_since_rebuild = 0
+        self.clock_at_rebuild: dict[str, float] | None = None
         self.interrupted = False
         self._since_sample = 0
         self._rebuild = self._new_rebuild(on_deleted)
@@ -123,17 +139,43 @@ class Stepper:
             self._workers.prepare()
         self.timing.compile += clock.perf_counter() - began
 
-    def rebuild_neighbor_lists(self, pose: int = 0) -> None:
+    def rebuild_neighbor_lists(self, step: int, pose: int = 0) -> None:
         """Sort the particles, delete those outside the domain or in an outlet, and fill the neighbor lists.
 
-        `pose`: index of the wall poses at the time of the positions.
+        step:  number of the step to which the positions belong
+        pose:  index of the wall poses at that time
         """
         began, compiled = clock.perf_counter(), self.timing.compile
         self._prepare_workers()
         self._rebuild.run(pose, self._workers.count)
-        self.steps_since_rebuild = 0
+        self.steps_since_rebuild, self.clock_at_rebuild = 0, self.state.clock.state_dict() | {"step_count": step}
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
         self.timing.rebuild_count += 1
+
+    def restore(self, particles: HostParticles) -> None:
+        """Put particles, in the order of their ids, on an empty device with the neighbor lists of the last rebuild.
+
+        The clock and the force-controlled walls are those of that rebuild; `clock_at_rebuild` is set here.
+        """
+        self.discard_poses()
+        pose = self.place_walls(self.state.clock.step_count)
+        self._prepare_workers()
+        self._rebuild.restore(particles, pose, self._workers.count)
+        self.clock_at_rebuild = self.state.clock.state_dict()
+        self.discard_poses()
+
+    def put(self, particles: HostParticles) -> None:
+        """Put particles, in the order of their ids, on an empty device; `refresh` must follow."""
+        self._rebuild.put(particles)
+
+    def ids(self) -> np.ndarray:
+        """Ids of all particles that neighbor lists can contain, in device order."""
+        return self._rebuild.ids()
+
+    def saved_particles(self) -> HostParticles:
+        """The particles of the device, of this rank if there are several."""
+        arrays = saved_particle_table(self.state).take(slice(0, self.state.count))
+        return HostParticles(arrays, HistoryTable(self.state).read(self.ids(), self.state.count))
 
     def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
         """Increase the arrays of the neighbor lists and build all kernels again.
@@ -161,7 +203,7 @@ class Stepper:
         `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not change.
         """
         pose = self.place_walls(step)
-        self.rebuild_neighbor_lists(pose)
+        self.rebuild_neighbor_lists(step, pose)
         write_force_inputs(self.state, step, velocities_lag)
         self.forces(pose, history_step=0.0)
 
@@ -230,7 +272,7 @@ class Stepper:
         write_force_inputs(state, step + 1)
         done = self._launch(steps)
         if state.control.rebuild_due[0] and not self.abort_code:
-            self.rebuild_neighbor_lists(pose=self._pose + done)
+            self.rebuild_neighbor_lists(step + done + 1, self._pose + done)
             write_force_inputs(state, step + done + 1)
             self.forces(pose=self._pose + done)
             done += int(state.control.steps_done[0])

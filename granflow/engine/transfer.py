@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.engine.engine import Engine
 from granflow.plan.device_arrays import particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
@@ -22,10 +22,10 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
     if same_size and structure_of(plan) == structure_of(engine.plan):
         engine.plan = engine.state.plan = engine.stability_monitor.plan = plan
         return engine
-    saved, motions, backend = EngineCheckpoint(engine).state_dict(), engine.state.wall_motions, engine.state.backend
+    saved, motions, backend = saved_state(engine), engine.state.wall_motions, engine.state.backend
     engine.free()
     moved = Engine(plan, backend)
-    EngineCheckpoint(moved).load_state_dict(_fitted(saved, plan), motions)
+    restore_state(moved, _fitted(saved, plan), motions)
     moved.take_over(engine)
     return moved
 
@@ -38,14 +38,14 @@ def _fitted(saved: dict[str, Any], plan: Plan) -> dict[str, Any]:
     count = saved["particle_count"]
     fitted = {"particles": {}, "energy_budget": {}, "wall_dynamics": dict(saved["wall_dynamics"])}
     for name, array in particles.items():
-        zeros = np.zeros(count if array.width is None else (count, array.width))
+        zeros = np.zeros((count, *array.full_shape[1:]))
         fitted["particles"][name] = saved["particles"].get(name, zeros)
     for name, array in sums.items():
-        shape = array.shape if array.width is None else (*array.shape, array.width)
-        fitted["energy_budget"][name] = _padded(saved["energy_budget"].get(name), shape)
+        fitted["energy_budget"][name] = _padded(saved["energy_budget"].get(name), array.full_shape[1:])
     if plan.controlled_motions:
         for name, array in dynamics.items():
-            fitted["wall_dynamics"][name] = _padded(saved["wall_dynamics"][name], array.shape)
+            shape = array.shape[1:] if array.by_chunk else array.shape
+            fitted["wall_dynamics"][name] = _padded(saved["wall_dynamics"][name], shape)
     return saved | fitted
 
 

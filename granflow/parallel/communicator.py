@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.host_particles import joined_arrays
 from granflow.engine.ranks import Arrays
 from granflow.errors import GranflowError
 
@@ -95,6 +96,10 @@ class Communicator:
         """The value of each rank, on all ranks."""
         return list(self._world.allgather(value))
 
+    def from_root(self, values: Sequence[Any] | None) -> Any:
+        """The value for this rank, of the root's one for each rank; None on the other ranks."""
+        return self._world.scatter(values)
+
     def to_root(self, value: Any) -> list[Any]:
         """The value of each rank on the root; empty on the others."""
         return list(self._world.gather(value) or [])
@@ -125,9 +130,4 @@ class Communicator:
     def gathered(self, arrays: Arrays) -> Arrays:
         """Arrays of all ranks, one rank after the other, on the root; those of this rank on the others."""
         parts = self.to_root(arrays)
-        return joined(parts) if parts else arrays
-
-
-def joined(parts: Sequence[Arrays]) -> Arrays:
-    """Arrays (n, ...) of several parts, one part after the other; all parts have the same names."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return joined_arrays(parts) if parts else arrays

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.engine.ghost_kernels import ABORT, FLAGS, PARTICLE, REBUILD, STOP, GhostKernels
+from granflow.engine.host_particles import joined_arrays
 from granflow.engine.limits import NO_PARTICLE
+from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
-from granflow.parallel.communicator import Communicator, joined
-from granflow.plan.capacities import REACH_STEPS
+from granflow.parallel.communicator import Communicator
 
 MARGIN = 1.0 + 1e-5
 """Factor of distances above rounding, in all precisions: more ghosts than necessary are harmless."""
@@ -24,11 +25,13 @@ class Box:
     reach: float
 
 
-def reaches(state: State, arrays: Arrays) -> np.ndarray:
+def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
     """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.cell_sort.bounds_phase`."""
     plan = state.plan
     speed = np.linalg.norm(arrays["velocity"].astype(float), axis=1)
-    reach = np.minimum(0.5 * plan.skin + speed * REACH_STEPS * state.clock.time_step, plan.reach_max)
+    reach = np.minimum(0.5 * plan.skin + speed * reach_time, plan.reach_max)
+    if reach_time == KEPT_REACH:
+        reach = arrays["reach"].astype(float)
     found: np.ndarray = MARGIN * (arrays["radius"].astype(float) + reach)
     return found
 
@@ -47,15 +50,30 @@ def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> n
     """
     if box.low[0] > box.high[0]:
         return np.zeros(0, np.int64)
-    plan, gap_squared = state.plan, np.zeros(len(position))
+    plan, gaps = state.plan, np.zeros((len(position), 3))
+    motion, sheared = plan.periodic_box.image_motion, np.full(len(position), np.inf)
     for axis in range(3):
-        gap = _gap(position[:, axis], box.low[axis], box.high[axis])
+        gaps[:, axis] = _gap(position[:, axis], box.low[axis], box.high[axis])
         if axis in plan.periodic_box.axes:
-            width = plan.domain_high[axis] - plan.domain_low[axis]
-            for shift in (-width, width):
-                gap = np.minimum(gap, _gap(position[:, axis] + shift, box.low[axis], box.high[axis]))
-        gap_squared += gap**2
+            image_gap = _image_gap(state, box, position, axis)
+            if motion is not None and axis == motion.gradient:
+                sheared = image_gap
+            else:
+                gaps[:, axis] = np.minimum(gaps[:, axis], image_gap)
+    squares = gaps**2
+    gap_squared = squares.sum(axis=1)
+    if motion is not None:  # moving images may be anywhere along the flow
+        neutral = 3 - motion.flow - motion.gradient
+        gap_squared = np.minimum(gap_squared, squares[:, neutral] + sheared**2)
     return np.flatnonzero(gap_squared <= (MARGIN * (reach + box.reach + plan.laws.range)) ** 2)
+
+
+def _image_gap(state: State, box: Box, position: np.ndarray, axis: int) -> np.ndarray:
+    """Distance (n,) [m] of the nearest periodic images from the box along an axis."""
+    width = state.plan.domain_high[axis] - state.plan.domain_low[axis]
+    above, below = (_gap(position[:, axis] + shift, box.low[axis], box.high[axis]) for shift in (width, -width))
+    found: np.ndarray = np.minimum(above, below)
+    return found
 
 
 def _gap(coordinate: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -75,13 +93,14 @@ class GhostExchange:
         self.first = self.count = 0
         self._prepare([], [])
 
-    def select(self, arrays: Arrays) -> Arrays:
+    def select(self, arrays: Arrays, reach_time: float) -> Arrays:
         """Send the particles that other ranks need; returns the ghosts of this rank, all fields.
 
-        arrays:  saved fields of the owned particles, in the order that they have on the device from now on
+        arrays:      saved fields of the owned particles, in the order that they have on the device from now on
+        reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
         """
         communicator, position = self._communicator, arrays["position"].astype(float)
-        reach = reaches(self._state, arrays)
+        reach = reaches(self._state, arrays, reach_time)
         boxes = communicator.from_each(box_of(position, reach))
         entries = [
             np.zeros(0, np.int64) if rank == communicator.rank else within(self._state, box, position, reach)
@@ -89,7 +108,7 @@ class GhostExchange:
         ]
         received = communicator.exchanged([{name: values[rows] for name, values in arrays.items()} for rows in entries])
         self._prepare(entries, [len(part["id"]) for part in received])
-        return joined(received)
+        return joined_arrays(received)
 
     def _prepare(self, entries: list[np.ndarray], received: list[int]) -> None:
         """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each rank."""

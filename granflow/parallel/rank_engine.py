@@ -1,6 +1,6 @@
 """The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import wraps
 from typing import Any
 
@@ -10,9 +10,11 @@ from granflow.engine.backend import Backend
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.engine import Engine
 from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.limits import Diagnosis
+from granflow.engine.host_particles import HostParticles, joined_particles
+from granflow.engine.limits import ABORT_WALL, Diagnosis
 from granflow.engine.stepper import Stepper
 from granflow.fields import PARTICLE_QUANTITIES
+from granflow.geometry.motion import Motion
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
 from granflow.plan.plan import Plan
@@ -57,6 +59,7 @@ class RankEngine(Engine):
     observe = _on_all_ranks("observe")
     copied = _on_all_ranks("copied")
     synchronized = _on_all_ranks("synchronized")
+    saved_sums = _on_all_ranks("saved_sums")
     mean_kinetic_energy = _on_all_ranks("mean_kinetic_energy")
 
     def _new_stepper(self) -> Stepper:
@@ -82,6 +85,31 @@ class RankEngine(Engine):
             part[name] = values[share].astype(example.dtype)
         self.stepper.pending.append(part)
 
+    def saved_particles(self) -> HostParticles:
+        """All particles with their contact histories on the root; those of this rank on the others."""
+        with self.communicator.commanding("saved_particles"):
+            own = super().saved_particles()
+            parts = self.communicator.to_root(own)
+        return joined_particles(parts) if parts else own
+
+    def restore(
+        self,
+        saved: Mapping[str, Any],
+        particles: HostParticles | None,
+        motions: Sequence[Sequence[Motion]],
+    ) -> None:
+        """As `Engine`; on the root with the particles and sums of all ranks, on the others without any."""
+        ranks = self.communicator.size
+        parts = None if particles is None else [*map(particles.of, np.array_split(np.arange(particles.count), ranks))]
+        with self.communicator.commanding("restore", (dict(saved) | {"energy_budget": {}}, None, motions)):
+            super().restore(saved, self.communicator.from_root(parts), motions)
+
+    def _kick(self, time: float) -> None:
+        """As `Engine`, also for the ghosts."""
+        super()._kick(time)
+        assert isinstance(self.stepper, RankStepper)
+        self.stepper.update_ghosts()
+
     @property
     def diagnosis(self) -> Diagnosis | None:
         """Diagnosis of an aborted run; None if the run has not aborted."""
@@ -93,6 +121,6 @@ class RankEngine(Engine):
         with self.communicator.commanding("rank_diagnosis"):
             code, particle = self.stepper.abort_code, int(self.state.control.abort_particle[0])
             found = None
-            if self.stepper.holds(particle):
+            if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
                 found = diagnose(code, particle, self.state, self.time, self._started)
             return next((each for each in self.communicator.to_root(found) if each is not None), None)

@@ -8,20 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
+from granflow.engine.contact_histories import HistoryTable
 from granflow.engine.engine import DELETED_FIELDS
 from granflow.engine.host_copy import saved_particle_table
+from granflow.engine.host_particles import HostParticles, joined_arrays, joined_particles
 from granflow.engine.limits import ABORT_FAR
+from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.neighbor.cells import BLOCK_SIDE
-from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
 from granflow.engine.neighbor.rebuild import RebuildKernel
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import BATCH, LANES, State
-from granflow.parallel.communicator import Communicator, joined
+from granflow.engine.wall_dynamics import mark_rebuild
+from granflow.parallel.communicator import Communicator
 from granflow.parallel.decomposition import Decomposition, bisected
 from granflow.parallel.ghosts import GhostExchange
-from granflow.parallel.histories import HistoryTable
-from granflow.parallel.owned import Owned, joined_owned
 from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS, list_capacity_for
 
 IMBALANCE = 1.1
@@ -69,44 +71,70 @@ class RankRebuild:
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
-        state = self._state
+        state, reach_time = self._state, REACH_STEPS * self._state.clock.time_step
+        mark_rebuild(state)  # displacements of walls count from here
         owned, deleted = self._without_deleted(self._taken())
-        owned = self._migrated(owned)
-        owned = owned.of(self._order(owned.arrays))
-        self._place(owned, self.ghosts.select(owned.arrays), deleted)
-        self._fill(pose, workers)
+        self._list(owned, deleted, pose, workers, reach_time)
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
             find_farthest(state)
+
+    def put(self, particles: HostParticles) -> None:
+        """Take a part of the particles; the next rebuild distributes them."""
+        raise NotImplementedError("the plan of MPI ranks does not change during a run")
+
+    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
+        """Put a part of the particles on each rank, with the neighbor lists of the last rebuild.
+
+        pose, workers:  as for `run`; poses at the last rebuild
+        """
+        state = self._state
+        earlier = particles.at_rebuild(state.plan.periodic_box.at(state.clock.time))
+        none = {name: values[:0] for name, values in earlier.arrays.items()}
+        owned = self._list(earlier, none, pose, workers, KEPT_REACH)
+        saved_particle_table(state).put(np.arange(state.count), owned.at_present().arrays)
+        self.ghosts.update()
+
+    def ids(self) -> np.ndarray:
+        """Ids of the owned particles and the ghosts, by index."""
+        return self._ids
+
+    def _list(
+        self, particles: HostParticles, deleted: Arrays, pose: int, workers: int, reach_time: float
+    ) -> HostParticles:
+        """Distribute the particles over the ranks, and fill the neighbor lists; returns those of this rank in order.
+
+        deleted:     of this rank
+        reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
+        """
+        owned = self._migrated(particles)
+        owned = owned.of(self._order(owned.arrays))
+        self._place(owned, self.ghosts.select(owned.arrays, reach_time), deleted)
+        self._fill(pose, workers, reach_time)
+        return owned
 
     def holds(self, particle: int) -> bool:
         """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
         return particle in self._ids[: self._state.count] or particle in self._deleted
 
-    def _taken(self) -> Owned:
+    def _taken(self) -> HostParticles:
         """The particles of the device and the pending ones, in the periodic box."""
         state, pending, self.pending = self._state, self.pending, []
-        arrays = joined([saved_particle_table(state).take(slice(0, state.count)), *pending])
+        arrays = joined_arrays([saved_particle_table(state).take(slice(0, state.count)), *pending])
         # Integration has wrapped all but pending particles.
-        arrays["position"][...] = state.plan.periodic_box.wrap(arrays["position"])
-        return Owned(arrays, self._histories.read(self._ids, len(arrays["id"])))
+        arrays["position"][...] = state.plan.periodic_box.at(state.clock.time).wrap(arrays["position"])
+        return HostParticles(arrays, self._histories.read(self._ids, len(arrays["id"])))
 
-    def _without_deleted(self, owned: Owned) -> tuple[Owned, Arrays]:
-        """The particles in the domain, and the others, as `engine.neighbor.deletion` decides without outlets."""
-        plan, position = self._state.plan, owned.arrays["position"]
-        expands = plan.domain.on_exit == "expand"
-        checked = [axis for axis in range(3) if not expands and axis not in plan.periodic_box.axes]
-        real = position.dtype
-        low, high = plan.domain_low.astype(real)[checked], plan.domain_high.astype(real)[checked]
-        stays = np.all((position[:, checked] >= low) & (position[:, checked] <= high), axis=1)
-        stays &= ~np.isnan(position).any(axis=1)
+    def _without_deleted(self, owned: HostParticles) -> tuple[HostParticles, Arrays]:
+        """The particles that remain, and the others, see `engine.neighbor.deletion`."""
+        stays = remaining(self._state, owned.arrays)
         deleted = {name: values[~stays] for name, values in owned.arrays.items()}
         names = [name for name in DELETED_FIELDS if name in deleted]
-        all_deleted = joined(self._communicator.from_each({name: deleted[name] for name in names}))
+        all_deleted = joined_arrays(self._communicator.from_each({name: deleted[name] for name in names}))
         if len(all_deleted["id"]):
             self._on_deleted(all_deleted)
         return (owned if stays.all() else owned.of(np.flatnonzero(stays))), deleted
 
-    def _migrated(self, owned: Owned) -> Owned:
+    def _migrated(self, owned: HostParticles) -> HostParticles:
         """The particles that this rank owns from now on."""
         communicator, position = self._communicator, owned.arrays["position"].astype(float)
         counts = np.array(communicator.from_each(len(position)))
@@ -115,7 +143,7 @@ class RankRebuild:
             self._decomposition = bisected(communicator, position)
         to_rank = self._decomposition.owners(position)
         parts = [owned.of(np.flatnonzero(to_rank == rank)) for rank in range(communicator.size)]
-        return joined_owned(communicator.exchanged(parts))
+        return joined_particles(communicator.exchanged(parts))
 
     def _order(self, owned: Arrays) -> np.ndarray:
         """Order of the particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact."""
@@ -127,7 +155,7 @@ class RankRebuild:
         keys = (owned["id"], *inside.T, *block.T)
         return np.lexsort(keys)
 
-    def _place(self, owned: Owned, ghosts: Arrays, deleted: Arrays) -> None:
+    def _place(self, owned: HostParticles, ghosts: Arrays, deleted: Arrays) -> None:
         """Write owned particles, their histories and ghosts to the device.
 
         Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are behind the
@@ -142,10 +170,10 @@ class RankRebuild:
         gap = np.full(first - count, count - 1)
         between = {name: values[gap] for name, values in owned.arrays.items()}
         between["id"] = np.full(len(gap), UNUSED, np.int32)
-        arrays = joined([owned.arrays, between, ghosts, deleted])
+        arrays = joined_arrays([owned.arrays, between, ghosts, deleted])
         saved_particle_table(state).put(np.arange(len(arrays["id"])), arrays)
         self._histories.write(owned.histories)
-        self._ids, self._deleted = arrays["id"][:end], set(deleted["id"].tolist())
+        self._ids, self._deleted = arrays["id"][:end], {*deleted["id"].tolist()}
 
     def _grow_arrays(self, particles: int, histories: int) -> None:
         """Increase the capacities of all ranks if one of them has more particles or histories than fit."""
@@ -158,7 +186,7 @@ class RankRebuild:
             entries = list_capacity_for(per_chunk) if more_histories else 0
             self._grow(int(GROWTH_FACTOR * particles) if more_particles else 0, entries, 0)
 
-    def _fill(self, pose: int, workers: int) -> None:
+    def _fill(self, pose: int, workers: int, reach_time: float) -> None:
         """Fill the neighbor lists; again after they have grown on all ranks, if one of them is too short."""
         state = self._state
         while True:
@@ -166,7 +194,7 @@ class RankRebuild:
             control = state.control
             if state.count:
                 end = self.ghosts.first + self.ghosts.count
-                kernel.launch(workers, 0, end, state.plan.skin, REACH_STEPS * step, step, pose)
+                kernel.launch(workers, 0, end, state.plan.skin, reach_time, step, pose)
                 needed = int(control.list_length_needed[0])
             control.rebuild_due[0] = control.rebuild_requested[0] = 0
             too_long, length = divmod(needed, TOO_LONG)

@@ -47,6 +47,10 @@ class RankStepper(Stepper):
     def interrupted(self, requested: bool) -> None:
         self._requested = requested
 
+    def update_ghosts(self) -> None:
+        """Update the ghosts from their owners."""
+        self._rank_rebuild.ghosts.update()
+
     def _grow_capacities(self, particles: int, needed: int, longest: int) -> None:
         """Increase the arrays to at least these capacities, and build all kernels again."""
         state, self.timing.growth_count = self.state, self.timing.growth_count + 1
@@ -61,8 +65,20 @@ class RankStepper(Stepper):
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`; an abort of one rank becomes that of all."""
         super().forces(pose, history_step)
+        self._sum_wall_forces()
         self._rank_rebuild.ghosts.read_abort()
         self._agree()
+
+    def _sum_wall_forces(self) -> None:
+        """Write the force of all ranks on each force-controlled wall as that of the first chunk of each rank."""
+        if self.state.wall_dynamics is None:
+            return
+        field = self.state.wall_dynamics.wall_force
+        by_chunk = field.to_numpy()
+        total = self._communicator.sums(by_chunk[: self.state.chunk_count].sum(axis=0))
+        by_chunk[...] = 0
+        by_chunk[0] = total
+        field.from_numpy(by_chunk)
 
     def _agree(self) -> bool:
         """Whether any rank requests a rebuild; also agrees on an abort and a stop."""
@@ -105,11 +121,12 @@ class RankStepper(Stepper):
     def _finish_step(self, is_due: bool, step: int) -> int:
         """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1."""
         if is_due:
-            self.rebuild_neighbor_lists(self._pose)
+            self.rebuild_neighbor_lists(step + 1, self._pose)
             write_force_inputs(self.state, step + 1)
         began = clock.perf_counter()
         self._launch_step(1, self._pose, self.state.clock.time_step, moving=0)
         computed = clock.perf_counter()
+        self._sum_wall_forces()
         self._rank_rebuild.ghosts.read_abort()
         self._agree()
         self.timing.sampled_forces += computed - began

@@ -26,6 +26,7 @@ class DeviceArray:
     saved:         part of checkpoints
     per_particle:  the first axis is that of the particles
     block:         consecutive arrays with the same block are interleaved entry by entry
+    by_chunk:      the first axis is that of the chunks; checkpoints contain the sum over it
     """
 
     name: str
@@ -36,6 +37,12 @@ class DeviceArray:
     saved: bool = False
     per_particle: bool = False
     block: str = ""
+    by_chunk: bool = False
+
+    @property
+    def full_shape(self) -> tuple[int, ...]:
+        """Shape of the array, with the components as the last axis."""
+        return self.shape if self.width is None else (*self.shape, self.width)
 
     def size(self, precision: Precision) -> int:
         """Allocated memory [bytes]."""
@@ -121,7 +128,7 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
         *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
         DeviceArray("was_active", "i32", (count,), saved=True),
         DeviceArray("active", "i32", (WALL_BATCH, count)),
-        DeviceArray("wall_force", "i64", (plan.capacities.chunks, count), saved=True),
+        DeviceArray("wall_force", "i64", (plan.capacities.chunks, count), saved=True, by_chunk=True),
     ]
 
 
@@ -135,10 +142,13 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
-        DeviceArray("losses", "i64", (chunks,), 2 * len(LOSSES), wanted=energy_budget, saved=True),
-        DeviceArray("impulses", "i64", (chunks, measured), 2 * IMPULSE_SIZE, wanted=measured > 0, saved=True),
-        DeviceArray("boundary_work", "i64", (chunks,), 2, wanted=has_image_work, saved=True),
-        DeviceArray("external_work", "i64", (chunks,), 2, wanted=has_external_work, saved=True),
+        DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
+        for name, shape, terms, wanted in (
+            ("losses", (chunks,), len(LOSSES), energy_budget),
+            ("impulses", (chunks, measured), IMPULSE_SIZE, measured > 0),
+            ("boundary_work", (chunks,), 1, has_image_work),
+            ("external_work", (chunks,), 1, has_external_work),
+        )
     ]
 
 

@@ -12,7 +12,7 @@ from granflow.io.checkpoint_parts import LARGEST_REAL, Part
 from granflow.load import Scene
 from granflow.plan.device_arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
-from granflow.runs.checkpoint_neighbors import check_neighbors
+from granflow.runs.checkpoint_contacts import check_contacts
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
@@ -55,8 +55,8 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].integer(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].integer()
-    for name in ("steps_since_update", "steps_since_rebuild"):
-        engine[name].integer(0, steps)
+    engine["steps_since_update"].integer(0, steps)
+    _check_clock_at_rebuild(engine["clock_at_rebuild"], steps)
     for wall in engine["walls_present"].items(len(plan.walls)):
         wall.flag()
     _check_accounting(engine["accounting"], count, plan)
@@ -64,7 +64,7 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     for name, kind in CLOCKS.items():
         engine["clocks"][name].amount(kind, 0)
     _check_particles(engine["particles"], engine["accounting"], plan, before)
-    check_neighbors(engine["neighbors"], count, plan)
+    check_contacts(engine["contacts"], engine["particles"]["id"].value, plan)
     _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_arrays(engine["energy_budget"], saved_arrays(sum_arrays(plan)))
 
@@ -125,6 +125,15 @@ def _check_clock(clock: Part, time: float) -> None:
         raise clock.error(f"gives the time {now:.6g} s, but the header {time:.6g} s")
 
 
+def _check_clock_at_rebuild(clock: Part, steps: int) -> None:
+    """Check the clock at the last rebuild; `steps`: number of completed steps."""
+    clock.mapping(("time_step", "step_count", "since_step", "since_time"))
+    clock["time_step"].number(np.finfo(float).tiny, LARGEST_REAL)
+    count = clock["step_count"].integer(0, steps)
+    clock["since_step"].integer(0, count)
+    clock["since_time"].number(0.0, LARGEST_REAL)
+
+
 def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     """Check counts, masses [kg] and energies [J] of inserted and deleted particles, and material and group by id.
 
@@ -147,12 +156,14 @@ def _check_arrays(
 ) -> None:
     """Check names, types and shapes of arrays.
 
-    `count`: length of the first axis, by default the capacity; `others`: further keys of the mapping.
+    `count`: length of the first axis, by default the capacity, or none for sums over the chunks; `others`: further keys
+    of the mapping.
     """
     part.mapping((*arrays, *others))
     for name, array in arrays.items():
-        shape = array.shape if count is None else (count, *array.shape[1:])
-        saved_shape = shape if array.width is None else (*shape, array.width)
+        saved_shape = array.full_shape
+        if count is not None or array.by_chunk:
+            saved_shape = (*(() if count is None else (count,)), *array.full_shape[1:])
         if array.dtype == "i64":
             part[name].integers(*saved_shape, low=-(2**63), high=2**63 - 1)
         elif array.dtype == "i32":

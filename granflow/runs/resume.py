@@ -17,7 +17,7 @@ from granflow.plan.walls import StageTimes, planned_motions, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
 from granflow.scene.differences import Difference, differences, forbidden
 
-PLAN_NUMBERS = ("time_step", "skin", "velocity_max", "chunk_size", "particle_capacity")
+PLAN_NUMBERS = ("time_step", "skin", "velocity_max")
 """Numbers of a plan that must not change when a run continues: positions and contact history depend on them."""
 
 FEATURE_SWITCHES = (
@@ -113,9 +113,7 @@ def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:
                 "when a run continues; restore the mesh files."
             )
         if now != before:
-            remedy = (
-                "; give the old value with --set" if name in ("time_step", "velocity_max", "skin", "chunk_size") else ""
-            )
+            remedy = "; give the old value with --set" if name in PLAN_NUMBERS else ""
             raise GranflowError(
                 f"{checkpoint.path}: {name} was {before!r} and would be {now!r} with this scene, but must not change "
                 f"when a run continues{remedy}."

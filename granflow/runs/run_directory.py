@@ -26,8 +26,8 @@ from granflow.runs.result import Result, write_result
 class RunDirectory:
     """Files of one run, except those of observers. Without a path nothing is written, and all methods have no effect.
 
-    `resumed`: checkpoint from which the run continues, or None. `checkpoints`: whether the run writes some. `writer`:
-    writes the frames of observers, in a thread while the directory is open.
+    `resumed`: checkpoint from which the run continues, or None. `writer`: writes the frames of
+    observers, in a thread while the directory is open.
 
     Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an earlier run.
     """
@@ -38,13 +38,12 @@ class RunDirectory:
         scene: Scene,
         resumed: Checkpoint | None,
         overwrite: bool = False,
-        checkpoints: bool = True,
     ) -> None:
         self.path = path
         self.writer = BackgroundWriter()
         self._scene, self._resumed = scene, resumed
         self._checkpoints: CheckpointWriter | None = None
-        if path is not None and checkpoints:
+        if path is not None:
             self._checkpoints = CheckpointWriter(path, scene.output.checkpoint, scene.to_yaml())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")

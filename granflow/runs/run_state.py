@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.checkpoint import EngineCheckpoint
+from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.engine.engine import Engine
 from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
@@ -64,7 +64,7 @@ class RunState:
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
-            "engine": EngineCheckpoint(self.engine).state_dict(),
+            "engine": saved_state(self.engine),
         }
 
     def load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
@@ -81,7 +81,7 @@ class RunState:
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
         progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
-        EngineCheckpoint(self.engine).load_state_dict(saved["engine"], motions)
+        restore_state(engine, saved["engine"], motions)
         engine.set_stage(progress.stage)
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():

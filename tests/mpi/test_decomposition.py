@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from granflow.geometry.periodic_box import ImageMotion, PeriodicBox
 from granflow.parallel.decomposition import bisected
 from granflow.parallel.ghosts import box_of, within
 
@@ -46,19 +47,24 @@ def test_without_particles_one_rank_owns_all_that_come_later():
     assert set(owners) <= {0, 1, 2}
 
 
-@pytest.mark.parametrize("axes", [(), (0,), (0, 1, 2)])
-def test_ghosts_contain_all_pairs_within_reach(axes):
+SHEAR = ImageMotion(flow=1, gradient=0, speed=1.0, start=0.0)
+
+
+@pytest.mark.parametrize(("axes", "motion"), [((), None), ((0,), None), ((0, 1, 2), None), ((0, 1, 2), SHEAR)])
+def test_ghosts_contain_all_pairs_within_reach(axes, motion):
     rng, width = np.random.default_rng(5), np.array([1.0, 0.8, 0.6])
     position, reach = rng.random((600, 3)) * width, rng.uniform(0.02, 0.06, 600)
+    box = PeriodicBox(axes, np.zeros(3), width, motion)
     plan = SimpleNamespace(
-        periodic_box=SimpleNamespace(axes=axes),
-        domain_low=np.zeros(3), domain_high=width, laws=SimpleNamespace(range=0.01),
-    )  # fmt: skip
+        periodic_box=box, domain_low=np.zeros(3), domain_high=width, laws=SimpleNamespace(range=0.01)
+    )
     own, other = position[:, 0] < 0.3, position[:, 0] >= 0.3
     ghosts = within(SimpleNamespace(plan=plan), box_of(position[own], reach[own]), position[other], reach[other])
-    branch = position[other][:, None] - position[own][None]
-    for axis in axes:
-        branch[..., axis] -= width[axis] * np.round(branch[..., axis] / width[axis])
-    needed = np.linalg.norm(branch, axis=2) < reach[other][:, None] + reach[own][None] + 0.01
-    assert set(np.flatnonzero(needed.any(axis=1))) <= set(ghosts)
+    for time in (0.0, 0.13, 0.37):  # images of the shear are at other places
+        images = box.at(time).nearest_images(
+            np.repeat(position[other], own.sum(), axis=0), np.tile(position[own], (other.sum(), 1))
+        )
+        branch = images.reshape(other.sum(), own.sum(), 3) - position[own][None]
+        needed = np.linalg.norm(branch, axis=2) < reach[other][:, None] + reach[own][None] + 0.01
+        assert set(np.flatnonzero(needed.any(axis=1))) <= set(ghosts)
     assert len(ghosts) < 0.9 * other.sum()

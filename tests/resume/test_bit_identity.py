@@ -45,13 +45,13 @@ def test_restart_during_insertion_and_deletion_is_bit_identical(tmp_path, taichi
     assert early.saved["stage_progress"]["stage"] == "fill" and 0 < early.saved["insertion"]["rain"]["due_count"] < 60
     assert late.saved["stage_progress"]["stage"] == "out"
     for name, checkpoint in (("early", early), ("late", late)):
+        assert len(checkpoint.saved["engine"]["contacts"]["partner"]) > 20
         resume_copy(scene, tmp_path / "whole", tmp_path / name, checkpoint.path)
         assert_identical(tmp_path / "whole", tmp_path / name)
     last = read_checkpoint(checkpoints[-1]).saved["engine"]
     assert last["accounting"]["deleted_count"] > early.saved["engine"]["accounting"]["deleted_count"]
     plastic, friction, rolling, _, wall_work = exact_totals(last["energy_budget"]["losses"], 1.0)
     assert plastic and friction and rolling and wall_work
-    assert len(last["neighbors"]["partner"]) > 50
 
 
 def test_restart_with_adaptive_time_step_is_bit_identical(tmp_path, taichi_f64):

@@ -75,18 +75,21 @@ def put(*keys, value=None, entry=None):
     return change
 
 
-NEIGHBORS, PARTICLES, ACCOUNTING = ("engine", "neighbors"), ("engine", "particles"), ("engine", "accounting")
+CONTACTS, PARTICLES, ACCOUNTING = ("engine", "contacts"), ("engine", "particles"), ("engine", "accounting")
 CHANGES = {
-    "partner that does not exist": (put(*NEIGHBORS, "partner", entry=1, value=10**8), "partner holds 100000000"),
-    "triangle that does not exist": (put(*NEIGHBORS, "partner", entry=0, value=-1000), "partner holds -1000"),
+    "partner that does not exist": (
+        put(*CONTACTS, "partner", entry=1, value=10**8),
+        "partner names a particle that does not exist",
+    ),
+    "triangle that does not exist": (put(*CONTACTS, "partner", entry=0, value=-1000), "partner holds -1000"),
     "huge count": (put("engine", "particle_count", value=10**9), "particle_count is 1000000000"),
     "negative count": (put("engine", "particle_count", value=-1), "particle_count is -1"),
     "text as count": (put("engine", "particle_count", value="8"), "particle_count is '8'"),
-    "neighbor-list length": (put(*NEIGHBORS, "list_length", entry=0, value=0), "list_length adds up to"),
-    "negative neighbor-list length": (put(*NEIGHBORS, "list_length", entry=0, value=-5), "list_length holds -5"),
-    "walls of a neighbor list": (put(*NEIGHBORS, "list_walls", entry=0, value=3), "list_walls|partner"),
-    "state of a contact": (put(*NEIGHBORS, "in_contact", entry=0, value=7), "in_contact holds 7"),
-    "infinite displacement": (put(*NEIGHBORS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
+    "number of contacts": (put(*CONTACTS, "count", entry=0, value=0), "count adds up to"),
+    "negative number of contacts": (put(*CONTACTS, "count", entry=0, value=-5), "count holds -5"),
+    "rebuild in the future": (put("engine", "clock_at_rebuild", "step_count", value=10**9), "step_count is 1000000000"),
+    "no rebuild": (put("engine", "clock_at_rebuild", value=None), "must be a mapping"),
+    "infinite displacement": (put(*CONTACTS, "tangential", entry=0, value=np.inf), "tangential holds inf"),
     "duplicate id": (put(*PARTICLES, "id", entry=0, value=1), "id holds a number twice"),
     "id above the largest id": (put(*PARTICLES, "id", entry=0, value=99), "id holds 99"),
     "nan position": (put(*PARTICLES, "position", entry=0, value=np.nan), "position holds nan"),
@@ -122,22 +125,27 @@ def test_crafted_state_is_rejected_with_its_key(original, tmp_path, name):
     assert "Remove it to use the checkpoint before it." in str(error.value)
 
 
-def test_pair_across_chunks_must_be_in_both_neighbor_lists(original, tmp_path):
-    """Particles 3 and 4 touch and are in different chunks; a replaced partner breaks the symmetry of the lists."""
+def replaced_partner(saved, replacement):
+    """Replaces the partner of one contact between two particles by the result of a function (owner, its partners)."""
+    contacts = saved["engine"]["contacts"]
+    owner = np.repeat(np.arange(8), contacts["count"])
+    partner = contacts["partner"].copy()
+    entry = np.flatnonzero(partner >= 0)[0]
+    partner[entry] = replacement(owner[entry], set(partner[owner == owner[entry]].tolist()))
+    contacts["partner"] = partner
 
-    def change(saved):
-        neighbors = saved["engine"]["neighbors"]
-        owner = np.repeat(np.arange(8), neighbors["list_length"])
-        partner = neighbors["partner"].copy()
-        across = np.flatnonzero((partner >= 0) & (owner // 4 != partner // 4))
-        assert len(across) >= 2
-        entry = across[0]
-        neighbor_ids = set(partner[owner == owner[entry]].tolist()) | {int(owner[entry])}
-        partner[entry] = next(k for k in range(8) if k // 4 != owner[entry] // 4 and k not in neighbor_ids)
-        neighbors["partner"] = partner
 
-    with pytest.raises(CheckpointError, match="lists a pair across two chunks only once"):
-        crafted(original, tmp_path, change)
+def test_contact_must_be_listed_at_both_particles(original, tmp_path):
+    def not_in_contact(owner, partners):
+        return next(k for k in range(8) if k != owner and k not in partners)
+
+    with pytest.raises(CheckpointError, match="lists a contact between two particles at one of them only"):
+        crafted(original, tmp_path, lambda saved: replaced_partner(saved, not_in_contact))
+
+
+def test_particle_is_not_in_contact_with_itself(original, tmp_path):
+    with pytest.raises(CheckpointError, match="lists a particle as in contact with itself"):
+        crafted(original, tmp_path, lambda saved: replaced_partner(saved, lambda owner, _: owner))
 
 
 def test_observer_state_is_checked_before_the_copy_to_the_device(original, tmp_path):

@@ -10,6 +10,7 @@ from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.host_copy import FieldTable, consecutive
 from granflow.engine.neighbor.contact_history_entry import build_read_history
+from granflow.engine.neighbor.history_transfer import vector_components
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry, triangles_of, walls_of
@@ -35,6 +36,11 @@ def _row_table(state: State) -> FieldTable:
     return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
 
 
+def _position_table(state: State) -> FieldTable:
+    """Table of the positions of all particles."""
+    return FieldTable({"position": state.particles.position})
+
+
 def _partner_table(state: State) -> FieldTable:
     """Table of the partners of all list entries."""
     return FieldTable({"partner": state.neighbors.partner})
@@ -55,51 +61,71 @@ class ContactOutput:
         self._table = FieldTable(recorded | state.neighbors.history)
         self._evaluate = _build_evaluate(state, self)
 
-    def take(self, arrays: dict[str, np.ndarray], pose: int) -> dict[str, np.ndarray]:
+    def take(self, ids: np.ndarray, pose: int) -> dict[str, np.ndarray]:
         """All contacts, each once, as in Snapshot.contacts, with n entries or (n, 3) arrays.
 
-        arrays:   id (particles,) and position (particles, 3) [m] in device order
+        ids:      (particles,) of all particles that lists can contain, in device order
         pose:     index of the wall poses at the present time, see `Stepper.place_walls`
-        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history
+        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history; the particle with the lower id is
+                  the first of a contact, and contacts are in the order of the ids; on MPI ranks, those of all ranks on
+                  the root
         """
-        owner, partner, entries = self._pairs(pose)
+        found = self.state.ranks.gathered(self._of_this_process(ids, pose))
+        order = np.lexsort([found[name] for name in ("triangle", "wall", "id_j", "id_i")])
+        return {name: values[order] for name, values in found.items()}
+
+    def _of_this_process(self, ids: np.ndarray, pose: int) -> dict[str, np.ndarray]:
+        """As `take`, in any order, without those that another rank takes."""
+        state, owner, partner, entries = self.state, *self._pairs(ids, pose)
         found = dict(zip(QUANTITIES, entries["numbers"].T.astype(float), strict=True))
         normal_history = self._history(entries, found["overlap"])
         loading = found["overlap"] >= normal_history["overlap_max"]
-        other = np.maximum(partner, 0)
-        with_wall = partner < 0
+        other, with_wall = np.maximum(partner, 0), partner < 0
         wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
-        wall[with_wall] = walls_of(self.state, partner[with_wall])
-        triangle[with_wall] = triangles_of(self.state, partner[with_wall])
-        friction_limit, first = found.pop("friction_limit"), arrays["position"][owner]
-        second = self.state.plan.periodic_box.at(self.state.clock.time).nearest_images(arrays["position"][other], first)
+        wall[with_wall] = walls_of(state, partner[with_wall])
+        triangle[with_wall] = triangles_of(state, partner[with_wall])
+        box = state.plan.periodic_box.at(state.clock.time)
+        position = box.wrap(state.built(_position_table).take(slice(0, len(ids)))["position"].astype(float))
+        friction_limit, first = found.pop("friction_limit"), position[owner]
+        second = box.nearest_images(position[other], first)
+        sliding = (friction_limit > 0.0) & (found["tangential_force"] >= AT_LIMIT * friction_limit)
         return (
             found
             | normal_history
             | {
-                "id_i": arrays["id"][owner].astype(np.int64),
-                "id_j": np.where(with_wall, -1, arrays["id"][other]).astype(np.int64),
+                "id_i": ids[owner].astype(np.int64),
+                "id_j": np.where(with_wall, -1, ids[other]).astype(np.int64),
                 "wall": wall,
                 "triangle": triangle,
                 "position_i": first,
                 "position_j": np.where(with_wall[:, None], entries["contact_point"], second),
                 "force": entries["force"].astype(float),
                 "unloading": np.where(loading, 0, 1).astype(np.uint8),
-                "sliding": ((friction_limit > 0.0) & (found["tangential_force"] >= AT_LIMIT * friction_limit)).astype(
-                    np.uint8
-                ),
+                "sliding": sliding.astype(np.uint8),
             }
         )
 
-    def _pairs(self, pose: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Owner and partner (n,) of all contacts, each pair once, and the arrays of their list entries."""
+    def _pairs(self, ids: np.ndarray, pose: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Owner and partner (n,) of all contacts, each pair once, and the arrays of their list entries.
+
+        Of a pair in two lists, that of the particle with the lower id counts. A pair in one list is turned if its owner
+        has the higher id: forces and vectors of the history change their sign.
+        """
         state = self.state
         if state.count:
             self._evaluate(state.count, pose, state.clock.time_step)
         owner, list_index, partner = candidate_pairs(state)
-        entries = self._table.take(list_index)
-        is_contact = ((partner < 0) | (partner > owner)) & (entries["numbers"][:, OVERLAP] > 0.0)
-        return owner[is_contact], partner[is_contact], {name: each[is_contact] for name, each in entries.items()}
+        entries, size = self._table.take(list_index), state.plan.chunk_size
+        id_partner = np.where(partner < 0, np.iinfo(np.int32).max, ids[np.maximum(partner, 0)])
+        counts = (ids[owner] < id_partner) | (owner // size == partner // size)
+        is_contact = counts & (entries["numbers"][:, OVERLAP] > 0.0)
+        owner, partner, turned = (each[is_contact] for each in (owner, partner, ids[owner] > id_partner))
+        entries = {name: each[is_contact] for name, each in entries.items()}
+        owner, partner = np.where(turned, partner, owner), np.where(turned, owner, partner)
+        entries["force"][turned] *= -1.0
+        for slot in state.neighbors.history:
+            entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(entries[slot].dtype)
+        return owner, partner, entries
 
     def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
         """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.

@@ -24,12 +24,15 @@ class MaxImpactVelocity:
         self._scan = _build_scan(state, self._squares)
 
     def measure(self) -> float:
-        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present overlaps."""
-        state = self.state
-        if not state.count:
-            return 0.0
-        self._scan(state.chunk_count, state.count, state.clock.time_step)
-        return float(np.sqrt(self._squares.to_numpy()[: state.chunk_count].max()))
+        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present overlaps.
+
+        On MPI ranks, of those of all ranks.
+        """
+        state, largest = self.state, 0.0
+        if state.count:
+            self._scan(state.chunk_count, state.count, state.clock.time_step)
+            largest = float(np.sqrt(self._squares.to_numpy()[: state.chunk_count].max()))
+        return state.ranks.largest(largest)
 
 
 def _build_scan(state: State, squares: Any) -> Any:

@@ -13,6 +13,9 @@ from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
+KEPT_REACH = -1.0
+"""Time of the reach for which the particles keep the reach that they have."""
+
 
 def bounds_phase(state: State) -> Phase:
     """Reach of all particles, bounds of BOUNDS parts of the particle list, and the grids.
@@ -20,9 +23,10 @@ def bounds_phase(state: State) -> Phase:
         reach = min(skin / 2 + |v| time, reach_max)
 
     A part holds consecutive particles; its bounds are those of the positions, and the largest reach. A fast particle
-    looks further, so that it does not make the rebuilds of all others more frequent.
+    looks further, so that it does not make the rebuilds of all others more frequent. With the time KEPT_REACH, the
+    reach is that of an earlier rebuild.
 
-    Reads:   position, velocity
+    Reads:   position, velocity, reach
     Writes:  reach of the particles; low, high, reach of the cell sort; the grids
     """
     particles, sorting, real = state.particles, state.cell_sort, state.backend.position_real
@@ -40,6 +44,8 @@ def bounds_phase(state: State) -> Phase:
             smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
             reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
+            if rebuild.reach_time < 0.0:
+                reach = particles.reach[i]
             particles.reach[i] = reach
             reach_largest = ti.max(reach_largest, reach)
         sorting.low[part], sorting.high[part], sorting.reach[part] = smallest, largest, reach_largest

@@ -1,5 +1,6 @@
 """Particle deletion. Checked at neighbor-list rebuilds only."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,49 +23,77 @@ def find_farthest(state: State) -> None:
 def build_remains(state: State) -> Any:
     """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from Python.
 
-    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is outside; an
-    outlet does not delete fixed particles. `changes.remove_particles` marks particles by a negative radius.
-
     Reads:  position, radius, fixed
     """
-    in_outlet = _build_in_outlet(state)
-    position, radius = state.particles.position, state.particles.radius
+    particles, fixed_particles, remains_at = state.particles, state.plan.features.fixed_particles, _build_remains(state)
+
+    @ti.func
+    def remains(i):
+        fixed = 0
+        if ti.static(fixed_particles):
+            fixed = particles.fixed[i]
+        return remains_at(particles.position[i], particles.radius[i], fixed)
+
+    return remains
+
+
+def remaining(state: State, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Which of n particles on the host remain (n,), as `build_remains` decides.
+
+    arrays:  position (n, 3), radius (n,) and, with fixed particles, fixed (n,), in the types of the fields
+    """
+    count = len(arrays["radius"])
+    found = np.zeros(count, np.int32)
+    if count:
+        fixed = arrays.get("fixed", np.zeros(count, np.int32))
+        state.built(_build_remaining)(*map(np.ascontiguousarray, (arrays["position"], arrays["radius"], fixed)), found)
+    return found.astype(bool)
+
+
+def _build_remaining(state: State) -> Any:
+    """Kernel (position, radius, fixed, found): the result of `remaining`."""
+    remains_at, real = _build_remains(state), state.backend.position_real
+    external: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def remaining_particles(position: external, radius: external, fixed: external, found: external):
+        for i in range(found.shape[0]):
+            p = ti.Vector([position[i, 0], position[i, 1], position[i, 2]], dt=real)
+            found[i] = ti.cast(remains_at(p, radius[i], fixed[i]), ti.i32)
+
+    return remaining_particles
+
+
+def _build_remains(state: State) -> Any:
+    """Device function (position, radius, fixed): true if such a particle remains.
+
+    Along periodic axes, and in an expanding domain, only the outlets delete. A position that is NaN is outside; an
+    outlet does not delete fixed particles. `changes.remove_particles` marks particles by a negative radius.
+    """
+    in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
     low, high = state.parameter("domain_low"), state.parameter("domain_high")
     unchecked_axes = range(3) if state.plan.domain.on_exit == "expand" else state.plan.periodic_box.axes
 
     @ti.func
-    def remains(i):
-        p, inside, lows, highs = position[i], radius[i] > REMOVED_BELOW, low(), high()
+    def in_outlet(p):
+        out = False
+        for d in ti.static(range(len(in_one_outlet))):
+            out = out or in_one_outlet[d](p)
+        return out
+
+    @ti.func
+    def remains_at(p, radius, fixed):
+        inside, lows, highs = radius > REMOVED_BELOW, low(), high()
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
                 inside = inside and p[axis] == p[axis]  # false for NaN
             else:
                 inside = inside and p[axis] >= lows[axis] and p[axis] <= highs[axis]
         if ti.static(state.plan.features.outlets):
-            inside = inside and not in_outlet(i)
+            inside = inside and not (in_outlet(p) and fixed == 0)
         return inside
 
-    return remains
-
-
-def _build_in_outlet(state: State) -> Any:
-    """Device function (i): true if particle i is in an outlet and not fixed.
-
-    Reads:  position, fixed
-    """
-    particles, fixed_particles = state.particles, state.plan.features.fixed_particles
-    in_one_outlet = [_build_in_one_outlet(state, index) for index in range(len(state.plan.outlets))]
-
-    @ti.func
-    def in_outlet(i):
-        out = False
-        for d in ti.static(range(len(in_one_outlet))):
-            out = out or in_one_outlet[d](particles.position[i])
-        if ti.static(fixed_particles):
-            out = out and particles.fixed[i] == 0
-        return out
-
-    return in_outlet
+    return remains_at
 
 
 def _build_in_one_outlet(state: State, index: int) -> Any:

@@ -2,8 +2,13 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
+from granflow.engine.contact_histories import HistoryTable
+from granflow.engine.host_copy import copy_to_host, saved_particle_table
+from granflow.engine.host_particles import HostParticles
 from granflow.engine.limits import ABORT_FAR
-from granflow.engine.neighbor.cell_sort import bounds_phase, class_phases, sort_phases
+from granflow.engine.neighbor.cell_sort import KEPT_REACH, bounds_phase, class_phases, sort_phases
 from granflow.engine.neighbor.deletion import find_farthest
 from granflow.engine.neighbor.history_transfer import build_save_history
 from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
@@ -12,6 +17,7 @@ from granflow.engine.neighbor.reorder import reorder_phases
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
+from granflow.errors import GranflowError
 from granflow.kernel_language import ti
 from granflow.plan.capacities import REACH_STEPS, list_capacity_for
 
@@ -61,11 +67,44 @@ class NeighborListRebuild:
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
+        mark_rebuild(self._state)  # displacements of walls count from here
+        self._launch(pose, workers, REACH_STEPS * self._state.clock.time_step)
+        self._delete()
+
+    def put(self, particles: HostParticles) -> None:
+        """Put particles, in the order of their ids, on a device without particles; the next rebuild lists them."""
+        state, histories = self._state, HistoryTable(self._state)
+        state.count = len(particles.arrays["id"])
+        if (needed := histories.longest_chunk(particles.histories)) > state.capacities.list_entries_per_chunk:
+            self._grow(needed, 0)
+        saved_particle_table(state).put(np.arange(state.count), particles.arrays)
+        histories.write_lists(particles.histories, particles.arrays["id"])
+
+    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
+        """Put particles on a device without particles, with the neighbor lists of the last rebuild.
+
+        particles:      in the order of their ids
+        pose, workers:  as for `run`; poses at the last rebuild
+        Raises:         GranflowError if that rebuild would have deleted one of the particles
+        """
         state = self._state
-        mark_rebuild(state)  # displacements of walls count from here
+        self.put(particles.at_rebuild(state.plan.periodic_box.at(state.clock.time)))
+        self._launch(pose, workers, KEPT_REACH)
+        if state.count and int(state.cell_sort.present[0]) < state.count:
+            raise GranflowError("The checkpoint contains particles that were in an outlet or outside the domain.")
+        present = particles.of(np.searchsorted(particles.arrays["id"], self.ids()))
+        saved_particle_table(state).put(np.arange(state.count), present.arrays)
+
+    def ids(self) -> np.ndarray:
+        """Ids of all particles by index."""
+        return copy_to_host(self._state, ("id",))["id"]
+
+    def _launch(self, pose: int, workers: int, reach_time: float) -> None:
+        """Launch the kernel, again after the capacities have grown; particles to delete are then behind the others."""
+        state = self._state
         first, step = 0 if state.count else self._kernel.fill, state.clock.time_step
         while True:
-            self._kernel.launch(workers, first, state.count, state.plan.skin, REACH_STEPS * step, step, pose)
+            self._kernel.launch(workers, first, state.count, state.plan.skin, reach_time, step, pose)
             control = state.control  # new fields after each growth
             needed = int(control.list_length_needed[0])
             if first < self._kernel.fill and int(control.running[0]) == 0:  # the histories do not fit
@@ -76,7 +115,6 @@ class NeighborListRebuild:
                 first = self._kernel.fill
             else:
                 break
-        self._delete()
 
     def _delete(self) -> None:
         """Account for the deleted particles, which are behind the others; find one that is too far away."""

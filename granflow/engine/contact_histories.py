@@ -1,4 +1,4 @@
-"""Contact histories by particle id, which migrate with the particles."""
+"""Contact histories by particle id: in checkpoints, and for particles that migrate between MPI ranks."""
 
 from dataclasses import dataclass
 
@@ -30,6 +30,17 @@ class Histories:
         entries = consecutive((np.cumsum(self.count) - self.count)[rows], count)
         return Histories(count, self.partner[entries], {slot: each[entries] for slot, each in self.values.items()})
 
+    @property
+    def owner(self) -> np.ndarray:
+        """Index (m,) of the particle of each contact."""
+        return np.repeat(np.arange(len(self.count)), self.count)
+
+    def by_partner(self) -> "Histories":
+        """The histories with the contacts of each particle in the order of the partners."""
+        entries = np.lexsort((self.partner, self.owner))
+        values = {slot: each[entries] for slot, each in self.values.items()}
+        return Histories(self.count, self.partner[entries], values)
+
 
 def joined_histories(parts: list[Histories]) -> Histories:
     """The histories of several parts, one part after the other."""
@@ -41,7 +52,10 @@ def joined_histories(parts: list[Histories]) -> Histories:
 
 
 class HistoryTable:
-    """Reads the histories of the owned particles from the neighbor lists, and writes them for the next lists."""
+    """Reads the histories of the owned particles from the neighbor lists, and writes them for the next lists.
+
+    Without ranks all particles are owned.
+    """
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -71,8 +85,36 @@ class HistoryTable:
             values[slot] = np.concatenate([each, mirrored])[by_row]
         return Histories(np.bincount(row, minlength=count), codes[by_row].astype(np.int32), values)
 
+    def write_lists(self, histories: Histories, ids: np.ndarray) -> None:
+        """Write neighbor lists that contain the contacts only, from which a rebuild takes the histories.
+
+        ids:  (n,) of all particles by index, in ascending order
+
+        The capacity must suffice, see `longest_chunk`.
+        """
+        state = self._state
+        owner, size = histories.owner, state.plan.chunk_size
+        chunk = np.arange(len(ids)) // size
+        before = np.cumsum(histories.count) - histories.count
+        in_chunk = before - before[chunk * size]
+        begin = chunk * state.capacities.list_entries_per_chunk + in_chunk
+        ranges = {"begin": begin, "end": begin + histories.count}
+        state.built(_list_table).put(np.arange(len(ids)), ranges)
+        if not state.neighbors.history:
+            return
+        entry = begin[owner] + np.arange(len(owner)) - before[owner]
+        partner = np.where(histories.partner < 0, histories.partner, np.searchsorted(ids, histories.partner))
+        in_contact = np.full(len(entry), IN_CONTACT, np.int32)
+        entries = {"partner": partner.astype(np.int32), "in_contact": in_contact} | histories.values
+        state.built(_entry_table).put(entry, entries)
+
+    def longest_chunk(self, histories: Histories) -> int:
+        """Largest number of contacts of the particles of a chunk."""
+        chunk = np.arange(len(histories.count)) // self._state.plan.chunk_size
+        return int(np.bincount(chunk, weights=histories.count, minlength=1).max())
+
     def write(self, histories: Histories) -> None:
-        """Write the histories of the owned particles where the filling of the neighbor lists looks for them."""
+        """Write the histories of the owned particles where a rank looks for them when it fills neighbor lists."""
         state, end = self._state, np.cumsum(histories.count)
         if not histories.values:
             return
@@ -89,6 +131,17 @@ def _state_table(state: State) -> FieldTable:
 def _value_table(state: State) -> FieldTable:
     """Table of the histories of all list entries."""
     return FieldTable(dict(state.neighbors.history))
+
+
+def _list_table(state: State) -> FieldTable:
+    """Table of the ranges of all neighbor lists."""
+    return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
+
+
+def _entry_table(state: State) -> FieldTable:
+    """Table of all list entries."""
+    neighbors = state.neighbors
+    return FieldTable({"partner": neighbors.partner, "in_contact": neighbors.in_contact, **neighbors.history})
 
 
 def _range_table(state: State) -> FieldTable:
