@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.engine.force.contact_output import candidate_pairs
 from granflow.engine.host_copy import FieldTable, consecutive
 from granflow.engine.neighbor.contact_history_entry import IN_CONTACT
 from granflow.engine.neighbor.history_transfer import vector_components
@@ -71,10 +70,7 @@ class HistoryTable:
         state = self._state
         if not state.neighbors.history:
             return Histories(np.zeros(count, np.int64), np.zeros(0, np.int32), {})
-        owner, list_index, partner = candidate_pairs(state)
-        touching = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
-        owner, partner = owner[touching], partner[touching]
-        values = state.built(_value_table).take(list_index[touching])
+        owner, partner, values = self._touching()
         size = state.plan.chunk_size
         listed_once = np.flatnonzero((partner >= 0) & (owner // size == partner // size))
         row = np.concatenate([owner, partner[listed_once]])
@@ -84,6 +80,19 @@ class HistoryTable:
             mirrored = np.where(vector_components(state, slot), -1.0, 1.0).astype(each.dtype) * each[listed_once]
             values[slot] = np.concatenate([each, mirrored])[by_row]
         return Histories(np.bincount(row, minlength=count), codes[by_row].astype(np.int32), values)
+
+    def _touching(self) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Index of the owner and the partner (m,) of each list entry in contact, and the histories."""
+        state, size = self._state, self._state.plan.chunk_size
+        ranges = state.built(_list_table).take(slice(0, state.count))
+        begin, end = ranges["begin"], ranges["end"]
+        first = begin[::size].astype(np.int64)
+        last = end[np.minimum(np.arange(1, len(first) + 1) * size, state.count) - 1]  # a chunk has no gaps
+        list_index = consecutive(first, last - first)
+        list_index = list_index[state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT]
+        owner = np.searchsorted(begin, list_index, side="right") - 1
+        entries = state.built(_contact_table).take(list_index)
+        return owner, entries.pop("partner").astype(np.int64), entries
 
     def write_lists(self, histories: Histories, ids: np.ndarray) -> None:
         """Write neighbor lists that contain the contacts only, from which a rebuild takes the histories.
@@ -128,9 +137,9 @@ def _state_table(state: State) -> FieldTable:
     return FieldTable({"in_contact": state.neighbors.in_contact})
 
 
-def _value_table(state: State) -> FieldTable:
-    """Table of the histories of all list entries."""
-    return FieldTable(dict(state.neighbors.history))
+def _contact_table(state: State) -> FieldTable:
+    """Table of the partners and histories of all list entries."""
+    return FieldTable({"partner": state.neighbors.partner, **state.neighbors.history})
 
 
 def _list_table(state: State) -> FieldTable:

@@ -5,6 +5,7 @@ an access takes 10 to 100 us. Views of the memory need one kernel per block of f
 """
 
 import ctypes
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,18 @@ def memory_of(field: Any) -> np.ndarray | None:
     """View (n, ...) of the entries of a field with the components along the last axis; None if only kernels copy it."""
     memory: np.ndarray | None = getattr(field, "memory", None)
     return memory
+
+
+def records_of(fields: Sequence[Any]) -> np.ndarray:
+    """View (n,) of the entries of interleaved fields as records of bytes, without regard to types.
+
+    fields:  all of one block of interleaved arrays, the first one first; see `memory_of`
+    """
+    memory = fields[0].memory
+    size = memory.strides[0]
+    begin = memory.ctypes.data
+    assert all(begin <= each.memory.ctypes.data < begin + size and each.memory.strides[0] == size for each in fields)
+    return np.ndarray(len(memory), f"V{size}", (ctypes.c_char * (size * len(memory))).from_address(begin))
 
 
 class HostBlock:

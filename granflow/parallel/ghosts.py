@@ -4,13 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.engine.ghost_kernels import ABORT, FLAGS, PARTICLE, REBUILD, STOP, GhostKernels
+from granflow.engine.host_fields import records_of
 from granflow.engine.host_particles import joined_arrays
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
+from granflow.fields import PARTICLE_QUANTITIES
 from granflow.parallel.communicator import Communicator
+
+REBUILD, ABORT, PARTICLE, STOP, FLAGS = range(5)
+"""Flags of a rank: rebuild requested, abort code, minus the id of the abort, stop requested; and their number."""
 
 MARGIN = 1.0 + 1e-5
 """Factor of distances above rounding, in all precisions: more ghosts than necessary are harmless."""
@@ -112,26 +116,20 @@ class GhostExchange:
 
     def _prepare(self, entries: list[np.ndarray], received: list[int]) -> None:
         """Allocate the buffers: `entries` (k,) to send to each rank, number of ghosts `received` from each rank."""
-        width = self._state.built(GhostKernels).width
-        self._sent, self.count = sum(len(rows) for rows in entries), sum(received)
-        self._entries = np.concatenate([*entries, np.zeros(1)]).astype(np.int32)
-        self._out, self._in = np.zeros((self._sent + 1, width)), np.zeros((self.count + 1, width))
+        records, self.count = _records(self._state), sum(received)
+        self._entries = np.concatenate(entries or [np.zeros(0, np.int64)])
+        self._out, self._in = (np.zeros(size, records.dtype) for size in (len(self._entries), self.count))
         self._sends = _parts(self._out, [len(rows) for rows in entries])
         self._receives = _parts(self._in, received)
 
-    def compile(self) -> None:
-        """Compile the kernels, unless the state has them, by launching them on empty ranges."""
-        kernels = self._state.built(GhostKernels)
-        kernels.pack(0, self._entries, self._out, self._flags)
-        kernels.unpack(0, 0, self._in)
-
     def update(self) -> None:
         """Update the ghosts from their owners; keeps the flags of this rank for `agree`."""
-        kernels = self._state.built(GhostKernels)
-        kernels.pack(self._sent, self._entries, self._out, self._flags)
+        records = _records(self._state)
+        np.take(records, self._entries, out=self._out, mode="clip")
         self._communicator.exchange_buffers(self._sends, self._receives)
-        if self.count:
-            kernels.unpack(self.count, self.first, self._in)
+        records[self.first : self.first + self.count] = self._in
+        self._flags[REBUILD] = int(self._state.control.rebuild_requested[0])
+        self._read_abort()
 
     def agree(self, stop: bool) -> tuple[bool, bool]:
         """Whether any rank requests a rebuild and a stop; an abort of one rank becomes that of all.
@@ -146,14 +144,28 @@ class GhostExchange:
         return bool(agreed[REBUILD]), bool(agreed[STOP])
 
     def read_abort(self) -> None:
-        """Read the abort of this rank for `agree`."""
+        """Read the abort of this rank for `agree`, without a request of a rebuild."""
+        self._flags[REBUILD] = 0
+        self._read_abort()
+
+    def _read_abort(self) -> None:
         control, flags = self._state.control, self._flags
-        flags[REBUILD], flags[ABORT], flags[PARTICLE] = 0, int(control.abort[0]), -NO_PARTICLE
+        flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
         if flags[ABORT]:
             flags[PARTICLE] = -int(control.abort_particle[0])
 
 
+def _records(state: State) -> np.ndarray:
+    """Records (capacity,) of positions, velocities and angular velocities, with radii and masses between them."""
+    return state.built(_motion_records)
+
+
+def _motion_records(state: State) -> np.ndarray:
+    names = [name for name, field in PARTICLE_QUANTITIES.items() if field.block == "motion"]
+    return records_of([field for name in names if (field := getattr(state.particles, name)) is not None])
+
+
 def _parts(buffer: np.ndarray, lengths: list[int]) -> list[tuple[int, np.ndarray]]:
-    """Rank and part of the buffer (sum of the lengths, width) for each rank with a length above 0."""
-    ends = np.cumsum([0, *lengths])
-    return [(rank, buffer[ends[rank] : ends[rank + 1]]) for rank, length in enumerate(lengths) if length]
+    """Rank and part of the buffer of records (sum of the lengths,), as bytes, for each rank with a length above 0."""
+    ends, bytes_of = buffer.itemsize * np.cumsum([0, *lengths]), buffer.view(np.uint8)
+    return [(rank, bytes_of[ends[rank] : ends[rank + 1]]) for rank, length in enumerate(lengths) if length]

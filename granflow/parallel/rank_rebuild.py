@@ -63,7 +63,6 @@ class RankRebuild:
     def compile(self) -> None:
         """Compile the kernels, unless the state has them."""
         self._state.built(RebuildKernel).compile()
-        self.ghosts.compile()
 
     def run(self, pose: int, workers: int) -> None:
         """Delete and migrate particles, select ghosts, and fill the neighbor lists.
