@@ -9,6 +9,7 @@ from typing import Any
 from granflow.cli.arguments import add_verb
 from granflow.cli.messages import say
 from granflow.errors import GranflowError
+from granflow.io.shipped_files import example_paths
 
 VERBS = {"sweeps": "sweep", "calibration": "calibrate"}
 """Folders of shipped files that are not scenes, and the verbs that run them."""
@@ -80,13 +81,6 @@ def path_of(name: str) -> Path:
 def scene_paths() -> dict[str, Path]:
     """Paths of the shipped scenes by name, without sweeps and calibrations."""
     return {name: path for name, path in example_paths().items() if path.parent.name not in VERBS}
-
-
-def example_paths() -> dict[str, Path]:
-    """Paths of the shipped scenes, sweeps and calibrations by name: in the package of a wheel, beside it in a clone."""
-    package = Path(__file__).resolve().parents[1]
-    folder = package / "scenes" if (package / "scenes").is_dir() else package.parent / "scenes"
-    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in sorted(folder.rglob("*.yaml"))}
 
 
 def add_examples(verbs: Any) -> None:

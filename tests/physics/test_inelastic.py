@@ -1,20 +1,15 @@
 """Contacts of the restitution 0: impacts without rebound, and the completely inelastic bouncing ball.
 
-The ball on a plate with the height A sin(w t), Gamma = A w^2/g (Mehta & Luck 1990, doi 10.1103/PhysRevLett.65.393): it
-rests on the plate until the plate accelerates downward by more than g, at sin(w t) = 1 / Gamma, lands without rebound,
-and leaves again at once if it lands while the plate accelerates downward by more than g.
+The flights of the ball on a vibrating plate follow the map of `granflow.studies.validation.vibrated`.
 """
 
 import numpy as np
 import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
-from scipy.optimize import brentq
 
-GRAVITY, FREQUENCY, RADIUS = 9.81, 25.0, 0.0025
-SOLID = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
+from granflow.studies.validation.vibrated import GRAVITY, RADIUS, SOLID, flights_of_map, flights_of_run
+
 BOX = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"}
-PERIODS, TRANSIENT = 9, 4
-"""Periods of the plate per run, and periods whose flights do not count."""
 
 
 def inelastic_scene(groups, walls, duration, **parts):
@@ -23,67 +18,6 @@ def inelastic_scene(groups, walls, duration, **parts):
         groups, walls=walls, materials={"glass": SOLID}, pair={"restitution": 0.0}, domain=BOX,
         run={"duration": duration, "velocity_max": 0.5}, **({"gravity": [0.0, 0.0, -GRAVITY]} | parts),
     )  # fmt: skip
-
-
-def landing_phase(gamma, start):
-    """Phase p at which a flight that starts with the velocity of the plate ends; heights in g/w^2, phases in w t.
-
-    gamma sin(p0) + gamma cos(p0) (p - p0) - (p - p0)^2 / 2 = gamma sin(p)
-    """
-
-    def height(phase):
-        time = phase - start
-        return gamma * (np.sin(start) - np.sin(phase) + np.cos(start) * time) - 0.5 * time**2
-
-    grid = start + np.linspace(1e-3, 4.0 * np.pi, 40000)
-    first = int(np.argmax(height(grid) < 0.0))
-    return brentq(height, grid[first - 1], grid[first], xtol=1e-12)
-
-
-def flights_of_map(gamma):
-    """Durations of the flights after the transient, over the period, from the event-driven map."""
-    release, cycle, flights = np.arcsin(1.0 / gamma), 2.0 * np.pi, []
-    start = release
-    while start < cycle * PERIODS:
-        landing = landing_phase(gamma, start)
-        if start > cycle * TRANSIENT and landing < cycle * PERIODS:
-            flights.append((landing - start) / cycle)
-        rests = gamma * np.sin(landing) < 1.0
-        start = release + cycle * np.ceil((landing - release) / cycle) if rests else landing
-    return np.array(flights)
-
-
-def flights_of_run(gammas, samples):
-    """For each gamma, durations of the flights after the transient, over the period; `samples` per period.
-
-    A flight is a time without force that is longer than three samples. All balls are in one run, each on a plate.
-    """
-    side, walls = 4.0 * RADIUS, {}
-    for number, gamma in enumerate(gammas):
-        walls[f"plate_{number}"] = {
-            "shape": "rectangle",
-            "corner": [(number - 0.5) * side, -0.5 * side, 0.0],
-            "sides": [[side, 0.0, 0.0], [0.0, side, 0.0]],
-            "material": "glass",
-            "motion": {"kind": "vibration", "direction": [0, 0, 1], "gamma": gamma, "frequency": FREQUENCY},
-        }
-    balls = particle_group([[number * side, 0.0, RADIUS] for number in range(len(gammas))], 2.0 * RADIUS)
-    numerics = {"time_step_fraction": 0.2}
-    scene = inelastic_scene({"balls": balls}, walls, PERIODS / FREQUENCY, numerics=numerics)
-    snapshots = run_and_sample(scene, 1.0 / (samples * FREQUENCY), contacts=True)
-    supported = np.zeros((len(snapshots), len(gammas)), dtype=bool)
-    for row, snapshot in enumerate(snapshots):
-        has_force = np.linalg.norm(snapshot.contacts["force"], axis=1) > 0.0
-        supported[row, snapshot.contacts["id_i"][has_force]] = True
-    return [times_without_force(times(snapshots) * FREQUENCY, each, samples) for each in supported.T]
-
-
-def times_without_force(time, supported, samples):
-    """Durations of the flights that start after the transient and end before the last time."""
-    ends = np.flatnonzero(supported[:-1] & ~supported[1:])
-    begins = np.flatnonzero(~supported[:-1] & supported[1:])
-    pairs = [(time[end], time[begins[begins > end][0]]) for end in ends if np.any(begins > end)]
-    return np.array([b - a for a, b in pairs if a > TRANSIENT and b - a > 3.5 / samples])
 
 
 def check_flights(gammas, samples):

@@ -14,7 +14,8 @@ class ValidationCase:
     value:       number from granflow
     allowed:     largest allowed deviation, relative to `scale`; `derivation` gives its reason
     scale:       value to which the deviation is relative; None for the reference
-    remark:      where the reference is used beyond its range, or empty
+    remark:      what holds of a formula and what lies beyond its range, or empty
+    in_range:    False if the reference is used beyond its range; a larger deviation is then shown, but does not fail
     """
 
     kind: str
@@ -27,6 +28,7 @@ class ValidationCase:
     derivation: str
     scale: float | None = None
     remark: str = ""
+    in_range: bool = True
 
     @property
     def deviation(self) -> float:
@@ -35,8 +37,13 @@ class ValidationCase:
 
     @property
     def status(self) -> str:
-        """`pass` if the deviation is at most the allowed one, otherwise `fail`; a value that is not finite fails."""
-        return "pass" if math.isfinite(self.deviation) and abs(self.deviation) <= self.allowed else "fail"
+        """`pass` if the deviation is at most the allowed one, otherwise `fail`, or `miss` beyond the reference's range.
+
+        A value that is not finite fails.
+        """
+        if math.isfinite(self.deviation) and abs(self.deviation) <= self.allowed:
+            return "pass"
+        return "fail" if self.in_range or not math.isfinite(self.deviation) else "miss"
 
     def as_dict(self) -> dict[str, Any]:
         """Fields of the case for JSON, with deviation and status."""

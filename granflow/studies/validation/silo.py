@@ -1,0 +1,213 @@
+"""Validation cases of silos: Janssen's law of the pressure in a narrow silo, Beverloo's law of discharge.
+
+Janssen: where wall friction is fully mobilized, the vertical stress in a cylinder of the radius R saturates over a
+length l = R / (2 mu K), with the ratio K of horizontal to vertical stress:
+
+    F(h) = pi R^2 rho g l (1 - exp(-h / l))
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from granflow import Scene, Simulation, Snapshot, on_interval
+from granflow.studies.beverloo import Discharge, fit_beverloo
+from granflow.studies.validation.case import ValidationCase
+from granflow.studies.validation.shipped import shipped_scene
+
+GRAVITY, DIAMETER, DENSITY = 9.81, 4e-3, 2500.0
+FRICTION, INNER_FRICTION = 0.2, 0.5
+"""Friction of the wall, and of the particles with each other, which prevents that they roll along the wall."""
+SILO_RADIUS = 5.0 * DIAMETER
+COUNT, QUICK_COUNT = 2400, 1200
+"""Particles in the silo; 2400 of them are about 27 diameters, 5.5 radii, high."""
+FILL, LIFT, WALL_SPEED = 0.4, 0.3, 0.01
+"""Durations [s] of filling and of lifting the wall, and velocity [m/s] of the wall."""
+SAMPLES = 50
+"""Samples in the second half of the lifting."""
+BLOCKS = 5
+"""Intervals of samples whose means give the standard error."""
+JANSSEN = "Janssen 1895 (Sperl 2006, doi 10.1007/s10035-005-0224-z)"
+FLOW_ORIFICES = {9e-3: 2.69, 10.5e-3: 1.6, 12e-3: 1.06, 14e-3: 0.69, 16e-3: 0.491}
+"""Durations of the discharge [s] by radius of the orifice [m], those of `sweeps/silo_beverloo`."""
+SINGLE = 12e-3
+"""Radius of the orifice [m] of the shipped scene."""
+BULK_DENSITY, C, K = 1450.0, 0.58, 1.4
+"""Density of the bed [kg/m3], and published parameters of Beverloo's law for spheres."""
+PARAMETER_ERROR = 0.1
+"""Relative error of both parameters (scene `flat_silo`)."""
+BEVERLOO = "Beverloo, Leniger & van de Velde 1961, doi 10.1016/0009-2509(61)85030-6"
+
+
+def silo_scene(count: int) -> Scene:
+    """A narrow silo that is filled, and whose wall then moves slowly upward, so that all of its friction carries."""
+    height = 0.6 * count * DIAMETER**3 / SILO_RADIUS**2
+    inside = {"from": [0, 0, 0], "to": [0, 0, height], "radius": SILO_RADIUS}
+    lift = {"kind": "translation", "velocity": [0, 0, WALL_SPEED], "stages": ["lift"]}
+    return Scene.from_dict({
+        "title": "Narrow silo", "gravity": [0, 0, -GRAVITY],
+        "materials": dict.fromkeys(
+            ("glass", "wall"), {"young_modulus": 5e6, "poisson_ratio": 0.2, "density": DENSITY}
+        ),
+        "pairs": {
+            "glass-glass": {"restitution": 0.5, "friction": INNER_FRICTION},
+            "glass-wall": {"restitution": 0.5, "friction": FRICTION},
+        },
+        "contact": {"normal": "hertz", "tangential": "mindlin", "rolling": "none"},
+        "walls": {
+            "floor": {"shape": "plane", "point": [0, 0, 0], "normal": [0, 0, 1], "material": "glass"},
+            "wall": inside | {"shape": "cylinder", "from": [0, 0, -0.1], "material": "wall", "motion": lift},
+        },
+        "particles": {
+            "beads": {
+                "material": "glass", "count": count,
+                "diameter": {"distribution": "uniform", "min": 0.95 * DIAMETER, "max": 1.05 * DIAMETER},
+                "insert": {"kind": "pack", "region": {"cylinder": inside}},
+            }
+        },
+        "domain": {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 2.0 * height], "on_exit": "error"},
+        "stages": [{"name": "fill", "duration": FILL}, {"name": "lift", "duration": LIFT}],
+        "run": {"velocity_max": 2.0, "precision": "f64"},
+        "numerics": {"time_step_fraction": 0.12, "max_overlap": 0.3}, "output": {"interval": 10.0},
+    })  # fmt: skip
+
+
+def contact_forces(snapshot: Snapshot, floor: int = 0) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Force [N] on the floor, and heights [m], normal and vertical forces [N] (c,) of the particles on the wall."""
+    contacts = snapshot.contacts
+    assert contacts is not None
+    of_floor, of_wall = contacts["wall"] == floor, contacts["wall"] == 1 - floor
+    forces = (contacts["position_j"][of_wall, 2], contacts["normal_force"][of_wall], contacts["force"][of_wall, 2])
+    return float(contacts["force"][of_floor, 2].sum()), *forces
+
+
+def janssen_cases(count: int = COUNT) -> list[ValidationCase]:
+    """Weight on the floor, balance of the weight, and mobilized friction of a narrow silo."""
+    snapshots: list[Snapshot] = []
+    start = FILL + 0.5 * LIFT
+    observer = on_interval(0.5 * LIFT / SAMPLES, snapshots.append, ("particles", "contacts"), start)
+    simulation = Simulation(silo_scene(count), observers=[observer])
+    simulation.run()
+    simulation.free()
+    return evaluate_silo([each for each in snapshots if each.time > start])
+
+
+def evaluate_silo(snapshots: Sequence[Snapshot]) -> list[ValidationCase]:
+    """The cases from snapshots of the silo while its wall moves upward."""
+    weight = GRAVITY * float(snapshots[0].particles["mass"].sum())
+    height = float(np.mean([np.quantile(each.particles["position"][:, 2], 0.98) for each in snapshots]))
+    forces = [contact_forces(each) for each in snapshots]
+    floor = np.array([each[0] for each in forces]) / weight
+    whole = floor + np.array([upward.sum() for *_, upward in forces]) / weight
+    ratio, friction = middle_stresses(snapshots, forces, height)
+    x = 2.0 * friction * ratio * height / SILO_RADIUS
+    share = -math.expm1(-x) / x
+    end = DIAMETER / height
+    return [
+        ValidationCase(
+            "Narrow silo", "weight carried by floor and wall over the weight", 1.0, "balance of forces",
+            float(np.mean(whole)), "1", 3.0 * block_error(whole) + WALL_SPEED / (GRAVITY * 0.5 * LIFT),
+            "three standard errors of the mean of five intervals, and a change of the velocity of the bed by that of "
+            "the wall, v / (g t)", scale=1.0,
+        ),
+        ValidationCase(
+            "Narrow silo", f"share of the weight on the floor, height {height / SILO_RADIUS:.3g} R, K = {ratio:.3g}",
+            share, JANSSEN, float(np.mean(floor)), "1", 3.0 * block_error(floor) + 2.0 * end,
+            "three standard errors of five intervals, and the weight of a layer of one diameter at each end, where the "
+            "stresses are not those of the middle", scale=1.0,
+            remark=f"K and the share of the friction limit at the wall, {friction / FRICTION:.2g}, are measured in the "
+            "middle third of the height; the law predicts the rest of the profile.",
+        ),
+    ]  # fmt: skip
+
+
+def block_error(values: np.ndarray) -> float:
+    """Standard error of the mean from the means of BLOCKS intervals."""
+    means = [each.mean() for each in np.array_split(values, BLOCKS)]
+    return float(np.std(means) / math.sqrt(BLOCKS - 1))
+
+
+def middle_stresses(
+    snapshots: Sequence[Snapshot], forces: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray]], height: float
+) -> tuple[float, float]:
+    """Horizontal over vertical stress, and vertical over normal force of the wall, in the middle third of the height.
+
+    The wall gives the horizontal stress; the vertical one is the weight above minus the force of the wall above.
+    """
+    low, high = height / 3.0, 2.0 * height / 3.0
+    normal_sums, vertical_sums, vertical = [], [], []
+    for snapshot, (_, z, normal, upward) in zip(snapshots, forces, strict=True):
+        inside, particles = (z > low) & (z < high), snapshot.particles
+        normal_sums.append(normal[inside].sum())
+        vertical_sums.append(upward[inside].sum())
+        for level in np.linspace(low, high, 9):
+            above = GRAVITY * particles["mass"][particles["position"][:, 2] > level].sum()
+            vertical.append(above - upward[z > level].sum())
+    horizontal = np.mean(normal_sums) / (2.0 * math.pi * SILO_RADIUS * (high - low))
+    ratio = horizontal / (np.mean(vertical) / (math.pi * SILO_RADIUS**2))
+    return float(ratio), float(np.mean(vertical_sums) / np.mean(normal_sums))
+
+
+def beverloo_flow(orifice: float) -> float:
+    """Mass flow rate [kg/s] of Beverloo's law with the published parameters, through an orifice [m]."""
+    return C * BULK_DENSITY * math.sqrt(GRAVITY) * (orifice - K * DIAMETER) ** 2.5
+
+
+def discharge(radius: float) -> float:
+    """Steady mass flow rate [kg/s] of the shipped silo through an orifice of this radius [m]."""
+    keys = ("walls.plug.radius", "walls.floor.hole_radius", "output.flow_meters.outlet.radius")
+    overrides = [f"{key}={radius}" for key in keys]
+    scene = shipped_scene("flat_silo", [*overrides, f"stages.1.duration={FLOW_ORIFICES[radius]}"])
+    simulation = Simulation(scene)
+    result = simulation.run()
+    simulation.free()
+    return float(result.flow_meters["outlet"]["mass_flow"])
+
+
+def discharge_cases(
+    radii: Sequence[float] = tuple(FLOW_ORIFICES), flow: Callable[[float], float] = discharge
+) -> list[ValidationCase]:
+    """Flow through each orifice of the shipped silo, and for three and more the fitted exponent and k."""
+    flows = np.array([flow(each) for each in radii])
+    found = [discharge_case(2.0 * radius, value) for radius, value in zip(radii, flows, strict=True)]
+    return found + (fitted_cases(Discharge(2.0 * np.array(radii), flows)) if len(radii) > 3 else [])
+
+
+def discharge_case(orifice: float, flow: float) -> ValidationCase:
+    """Flow [kg/s] through one orifice [m] against Beverloo's law with the published parameters."""
+    share = 2.5 * K * DIAMETER / (orifice - K * DIAMETER)
+    return ValidationCase(
+        "Discharge of a flat-bottomed silo", f"flow through {1e3 * orifice:g} mm, {orifice / DIAMETER:.3g} diameters",
+        beverloo_flow(orifice), BEVERLOO, flow, "kg/s", PARAMETER_ERROR * math.hypot(1.0, share),
+        "10 % of C and 10 % of k, independent of each other",
+        remark="C = 0.58 and k = 1.4 are means over materials; C decreases with the friction of the particles (0.5). "
+        "The scatter of the flow, about 2.5 %, is not part of the allowed deviation",
+        in_range=orifice >= 5.0 * DIAMETER,
+    )  # fmt: skip
+
+
+def fitted_cases(data: Discharge) -> list[ValidationCase]:
+    """k at the exponent 5/2, and the exponent at the published k."""
+    fit = fit_beverloo(data, DIAMETER, BULK_DENSITY)
+    exponent, error = exponent_at(data, K)
+    shift = abs(exponent_at(data, (1.0 + PARAMETER_ERROR) * K)[0] - exponent)
+    rows = (
+        ("k at the exponent 5/2", K, fit.k, 3.0 * fit.k_error + PARAMETER_ERROR * K, "10 % of k"),
+        ("exponent at k = 1.4", 2.5, exponent, 3.0 * error + shift, "the change of the exponent for 10 % of k"),
+    )
+    return [
+        ValidationCase(
+            "Discharge of a flat-bottomed silo", name, reference, BEVERLOO, value, "1", allowed,
+            f"three standard errors of the fit, and {published}", scale=1.0,
+        )
+        for name, reference, value, allowed, published in rows
+    ]  # fmt: skip
+
+
+def exponent_at(data: Discharge, k: float) -> tuple[float, float]:
+    """Exponent of D - k d for a given k, and its standard error, from the slope of ln W over ln(D - k d)."""
+    x, y = np.log(data.orifice - k * DIAMETER), np.log(data.mass_flow)
+    slope, level = np.polyfit(x, y, 1)
+    residual = float(np.sum((y - slope * x - level) ** 2))
+    return float(slope), math.sqrt(residual / (len(x) - 2) / float(np.sum((x - x.mean()) ** 2)))
