@@ -18,6 +18,7 @@ from granflow.studies.report import sections as report_sections
 from granflow.studies.report.pictures import _caption
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.report import report_text
+from granflow.studies.report.sections import table_of
 from granflow.studies.report.series import MOST_POINTS, groups_of, thinned
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
@@ -176,6 +177,14 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
         ("pressure, lid", "Pa", ["pressure.lid"]),
         ("temperature", "K", ["temperature"]),
     ]
+
+
+def test_table_of_many_quantities_has_them_as_rows():
+    parts = {"floor": {f"q{k}": k for k in range(11)}, "lid": {"q1": 7.5}}
+    table = table_of("", parts)
+    assert list(table.heads) == ["", "floor", "lid"] and len(table.rows) == 11
+    assert table.rows[1] == ("q1", "1", "7.5") and table.rows[2] == ("q2", "2", "")
+    assert list(table_of("", {"a": {"p": 1, "q": 2}}).heads) == ["", "p", "q"]
 
 
 def test_thinned_curve_keeps_peaks_and_ends():

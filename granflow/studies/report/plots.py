@@ -20,7 +20,10 @@ AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline
 """Style of axes in the format of plotly."""
 
 HEIGHT = 340
-"""Height of a plot [pixels]."""
+"""Height of a plot without its legend [pixels]."""
+
+LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
+"""Legend below the plot; the script of the page makes room for its rows."""
 
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
@@ -57,7 +60,7 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
         "plot_bgcolor": "white",
         "hovermode": "x unified",
         "showlegend": len(curves) > 1,
-        "legend": {"orientation": "h", "y": -0.28, "x": 0},
+        "legend": LEGEND,
         "xaxis": {**AXIS, "title": {"text": "time (s)"}, "exponentformat": "none", "hoverformat": ".6~g"},
         "yaxis": {**AXIS, "title": {"text": group.title + unit}},
         **_stage_marks(series),

@@ -55,6 +55,9 @@ ENERGIES, OTHERS = "Energy budget", "Over time"
 SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
 """Sections of result.json that the page shows separately."""
 
+MOST_COLUMNS = 8
+"""Largest number of quantities of flow meters or walls that are columns of a table."""
+
 ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
@@ -161,11 +164,17 @@ def _readings(record: Run, title: str) -> list[PageTable]:
 
 
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
-    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity."""
+    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity.
+
+    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the parts.
+    """
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     units = [unit_of(name + ".x") for name in names]
     heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
     rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
+    if len(parts) < MOST_COLUMNS < len(names):
+        columns = list(zip(heads, *(row[1:] for row in rows), strict=True))
+        return PageTable(["", *parts], columns, caption)
     return PageTable(["", *heads], rows, caption)
 
 

@@ -61,13 +61,15 @@ def _statuses(table: SweepTable) -> PageTable:
 
 
 def _points(table: SweepTable) -> PageTable:
-    """All points: parameters, status, quantities with standard errors, run directories, reasons."""
+    """All points: parameters, status, quantities with standard errors, run directories, reasons if there are any."""
     rows = []
     for row in table.rows:
         values = [str(plain(row.point.values[name], 6)) for name in table.parameters]
         numbers = [_with_error(row.mean(name), row.standard_error(name)) for name in table.quantities]
         rows.append([*values, row.outcome.status, *numbers, " ".join(row.directories), row.outcome.reason])
     heads = [*map(last_key, table.parameters), "status", *map(label, table.quantities), "runs", "reason"]
+    if not any(row[-1] for row in rows):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
     return PageTable(heads, rows)
 
 

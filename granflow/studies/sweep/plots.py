@@ -98,9 +98,12 @@ def scatter_matrix(table: SweepTable) -> Plot:
     """Each parameter and quantity against each other."""
     rows = usable_rows(table)
     dimensions = [
-        {"label": last_key(name), "values": [plain(row.point.values[name]) for row in rows]}
+        {"label": last_key(name).replace(".", ".<br>"), "values": [plain(row.point.values[name]) for row in rows]}
         for name in table.parameters
-    ] + [{"label": name, "values": [plain(row.mean(name)) for row in rows]} for name in table.quantities]
+    ] + [
+        {"label": name.replace(".", ".<br>"), "values": [plain(row.mean(name)) for row in rows]}
+        for name in table.quantities
+    ]
     data = {
         "type": "splom", "dimensions": dimensions, "text": [hover(row, table) for row in rows], "hoverinfo": "text",
         "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7}, "diagonal": {"visible": False},
@@ -161,7 +164,10 @@ def parallel_coordinates(table: SweepTable) -> Plot:
          "hovertext": hover(row, table), "hoverinfo": "text"}
         for row in shown
     ]  # fmt: skip
-    ends = [f"{name}<br>{_end(values, min)} to {_end(values, max)}" for name, values in columns.items()]
+    ends = [
+        f"{name.replace('.', '.<br>')}<br>{_end(values, min)} to {_end(values, max)}"
+        for name, values in columns.items()
+    ]
     x_axis = axis("", tickvals=names, ticktext=ends)
     y_axis = axis("share of the range")
     caption = (
