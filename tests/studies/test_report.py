@@ -187,6 +187,22 @@ def test_table_of_many_quantities_has_them_as_rows():
     assert list(table_of("", {"a": {"p": 1, "q": 2}}).heads) == ["", "p", "q"]
 
 
+def test_energies_without_a_budget_are_quantities_over_time(run):
+    """The run has an energy budget; without its columns, the page shows the kinetic energy without a section."""
+    assert "Energy budget" in [topic.title for topic in report_sections.topics(read_run(run), with_plots=True)]
+    rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
+    assert rows[0][3] == "kinetic_energy [J]"
+    (run / "timeseries.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    (topic,) = [each for each in report_sections.topics(read_run(run), with_plots=True) if not each.tables]
+    assert topic.title == "Over time" and "kinetic energy" in topic.plots[-1].caption.lower()
+
+
+def test_energies_of_rounding_are_zero(run):
+    values = np.array([2e-6, 1e-6, 6e-43])
+    (table,) = report_sections._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
+    assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
+
+
 def test_thinned_curve_keeps_peaks_and_ends():
     time, values = np.arange(1e5), np.zeros(100_000)
     values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0
