@@ -203,6 +203,20 @@ def test_energies_of_rounding_are_zero(run):
     assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
 
 
+def test_angles_are_in_rad_and_degrees(run):
+    result = json.loads((run / "result.json").read_text())
+    result["metrics"] = {"left": {"angle_of_repose": 0.4, "angle_of_repose_error": 0.01}}
+    result["totals"]["angle_of_repose.left"] = 0.4
+    (run / "result.json").write_text(json.dumps(result))
+    tables = {table.caption: table for table in report_sections.remaining_numbers(read_run(run))}
+    assert tables["metrics in result.json"].rows == [["left", "0.4 (22.92 deg)", "0.01 (0.573 deg)"]]
+    assert ("angle of repose.left", "0.4", "rad (22.92 deg)") in tables["totals in result.json"].rows
+    series = TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())
+    (group,) = groups_of([SeriesColumn("angle_of_repose.left", "rad", np.array([0.0, np.pi / 4]))])
+    figure = plot_of(group, series).figure
+    assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
+
+
 def test_thinned_curve_keeps_peaks_and_ends():
     time, values = np.arange(1e5), np.zeros(100_000)
     values[[0, 777, 5_001, 99_999]] = 1.0, 9.0, -4.0, 2.0

@@ -48,10 +48,11 @@ def library() -> str:
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     """Plot of a group of columns against time, with the stages of the run.
 
-    All columns of a group have the same unit.
+    All columns of a group have the same unit; angles are shown in degrees.
     """
-    curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
-    unit = f" ({group.unit})" if group.unit else ""
+    per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
+    curves = [_curve(number, column, series, per_unit, shown) for number, column in enumerate(group.columns)]
+    unit = f" ({shown})" if shown else ""
     layout = {
         "height": HEIGHT,
         "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
@@ -68,9 +69,9 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
 
 
-def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
-    """One curve in the format of plotly, with at most `series.MOST_POINTS` points."""
-    time, values = thinned(series.time, column.values)
+def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str) -> dict[str, Any]:
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its unit."""
+    time, values = thinned(series.time, per_unit * column.values)
     rounds = number // len(COLORS)
     return {
         "type": "scatter",
@@ -79,7 +80,7 @@ def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[s
         "x": _plain(time),
         "y": _plain(values),
         "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
-        "hovertemplate": f"%{{y:.5~g}} {column.unit}",
+        "hovertemplate": f"%{{y:.5~g}} {unit}",
     }
 
 

@@ -22,7 +22,7 @@ from granflow.io.time_series import SeriesColumn
 from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.series import groups_of
 from granflow.studies.tables import PageTable
-from granflow.visible_text import readable
+from granflow.visible_text import in_degrees, readable
 
 FROM_LOG = "From run.log."
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
@@ -104,12 +104,15 @@ def progress(record: Run) -> PageTable:
 def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
     """Name, number and unit."""
     name, number = item
-    return name.replace("_", " "), _shown(number), unit_of(name)
+    unit = unit_of(name)
+    return name.replace("_", " "), _shown(number), unit + (in_degrees(number, unit) if number is not None else "")
 
 
-def _shown(number: Any) -> str:
-    """A number as text, another value as it is; empty for None."""
-    return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
+def _shown(number: Any, unit: str = "") -> str:
+    """A number as text, of an angle [rad] with degrees; another value as it is; empty for None."""
+    if isinstance(number, int | float):
+        return readable(number) + in_degrees(number, unit)
+    return "" if number is None else str(number)
 
 
 def expectations(record: Run) -> PageTable:
@@ -184,10 +187,10 @@ def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     units = [unit_of(name + ".x") for name in names]
     heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
-    rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
+    columns = list(zip(names, units, strict=True))
+    rows = [[part, *(_shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()]
     if len(parts) < MOST_COLUMNS < len(names):
-        columns = list(zip(heads, *(row[1:] for row in rows), strict=True))
-        return PageTable(["", *parts], columns, caption)
+        return PageTable(["", *parts], list(zip(heads, *(row[1:] for row in rows), strict=True)), caption)
     return PageTable(["", *heads], rows, caption)
 
 
