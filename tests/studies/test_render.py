@@ -100,7 +100,13 @@ def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"), ("3 mm", "give last, first, all")],
+    [
+        ("9s", "--frame 9s: the frames are from 0 s to "),
+        ("-1 s", "give a time between them"),
+        ("7", "no such frame; the frames are 0 to 3"),
+        ("soon", "a time is expected"),
+        ("3 mm", "give last, first, all"),
+    ],
 )
 def test_absent_frames_are_rejected(run, text, message):
     with pytest.raises(GranflowError, match=message):

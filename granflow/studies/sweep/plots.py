@@ -42,7 +42,8 @@ def usable_rows(table: SweepTable) -> list[PointRow]:
 def main_effects(table: SweepTable, quantity: str) -> Plot:
     """Points, and mean over all points with the same value of a parameter, one plot for each parameter."""
     rows = [row for row in table.rows if np.isfinite(row.mean(quantity))]
-    data = []
+    data: list[dict[str, Any]] = []
+    binned = False
     for k, name in enumerate(table.parameters):
         axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
         values = [plain(row.point.values[name]) for row in rows]
@@ -52,10 +53,13 @@ def main_effects(table: SweepTable, quantity: str) -> Plot:
              "hovertext": [hover(row, table) for row in rows], **axes}
         )  # fmt: skip
         data.append({**_mean_line(values, rows, quantity), **axes})
+        binned = binned or len(_groups(values)) < len(set(values))
     titles = [last_key(name) for name in table.parameters]
+    has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
     caption = (
-        f"{label(quantity)}: mean over all points with the same value of a parameter, or in equal intervals of it "
-        "(line), with its standard error, and all points (light)"
+        f"{label(quantity)}: mean over all points with the same value of a parameter"
+        f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
+        ", and all points (light)"
     )
     return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, label(quantity)))})
 
