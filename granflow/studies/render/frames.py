@@ -53,6 +53,17 @@ class FrameWalls:
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
 
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of all walls, in ascending order."""
+        return sorted({int(number) for each in self.walls for number in np.unique(each)})
+
+    def selected(self, walls: Sequence[int]) -> "FrameWalls":
+        """The walls with the given numbers, with all points."""
+        parts = [(cells, wall, np.isin(wall, walls)) for cells, wall in zip(self.polygons, self.walls, strict=True)]
+        chosen = [(cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)]
+        return FrameWalls(self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen))
+
     def same_as(self, other: "FrameWalls | None") -> bool:
         """Whether both contain the same walls in the same pose."""
         if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
