@@ -8,6 +8,7 @@ may contain one.
 
 import html
 import logging
+import math
 import re
 from collections.abc import Iterable, Sequence
 
@@ -59,6 +60,14 @@ def readable(number: float) -> str:
     if 1e4 <= abs(number) < 1e12:
         return f"{int(float(f'{number:.4g}')):,}".replace(",", " ")
     return f"{number:.4g}"
+
+
+def in_degrees(number: float, unit: str) -> str:
+    """Return " (22.9 deg)" for an angle in the unit rad, to follow it in text; "" for other units and without a number.
+
+    Scenes take angles in degrees as well; files contain rad only.
+    """
+    return f" ({math.degrees(number):.4g} deg)" if unit == "rad" and math.isfinite(number) else ""
 
 
 def numbered(count: int, noun: str) -> str:

@@ -11,6 +11,8 @@ from typing import Any
 from granflow.cli.arguments import add_out, add_overrides, add_verb
 from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
+from granflow.fields import unit_of
+from granflow.visible_text import in_degrees
 
 MAX_ROWS = 20
 """Largest number of rows printed; the file contains all rows."""
@@ -36,10 +38,15 @@ def analyze(options: argparse.Namespace) -> int:
     rows = analyze_run(options.directory, load(scene_path, options.overrides), out)
     if rows and len(rows[0]) > len(("time", "stage")):
         step = -(-len(rows) // MAX_ROWS)
-        cells = [[value if isinstance(value, str) else f"{value:.4g}" for value in row.values()] for row in rows]
+        cells = [[_cell(name, value) for name, value in row.items()] for row in rows]
         show_table(f"{options.directory}, {len(rows)} frames", list(rows[0]), cells[::-1][::step][::-1])
     say(f"Written to {out}")
     return 0
+
+
+def _cell(name: str, value: float | str) -> str:
+    """Text of a value of the column `name`; of an angle with degrees."""
+    return value if isinstance(value, str) else f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
 
 
 def add_analyze(verbs: Any) -> None:

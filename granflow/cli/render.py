@@ -50,7 +50,7 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
     The duration is the number of frames over --fps [1/s].
     """
     from granflow.studies.render.film import missing_for_film, write_film
-    from granflow.studies.render.render import name_of, pictures, write_pictures
+    from granflow.studies.render.render import name_of, pictures, speed_of, write_pictures
 
     missing = missing_for_film()
     if missing:
@@ -59,8 +59,9 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
         return print_error(f"An animation requires {missing}, which is not installed: pip install granflow[plot]")
     path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(path, pictures(options.directory, frames, style), options.fps)
-    say(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s")
+    write_film(path, pictures(options.directory, frames, style, options.fps), options.fps)
+    speed = speed_of([frame.time for frame in frames], options.fps)
+    say(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s{', ' + speed if speed else ''}")
     return 0
 
 
@@ -125,6 +126,6 @@ def add_render(verbs: Any) -> None:
     visible = "visible part: particles and walls (all), particles, or domain (default: all)"
     add("--fit", choices=FITS, default="all", help=visible)
     add("--cut", action="store_true", help="omit the front half")
-    size = "width and height in pixels (default: 1200 high, width from the view)"
+    size = "width and height in pixels (default: 1200 high, a film 900; width from the view)"
     add("--size", type=pixel_size, metavar="WxH", help=size)
     add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol
 
 from granflow.fields import unit_of
+from granflow.visible_text import in_degrees
 
 
 class Expectation(Protocol):
@@ -63,7 +64,8 @@ def _evaluate_one(expectation: Expectation, numbers: Mapping[str, float]) -> Exp
     unit = f" {unit_of(name)}".rstrip()
     met, requirement = _compare(expectation, number, unit)
     relation = "as expected" if met else "but should be"
-    return ExpectationResult(f"{name} is {number:.6g}{unit}, {relation} {requirement}.", met)
+    degrees = in_degrees(number, unit.strip())
+    return ExpectationResult(f"{name} is {number:.6g}{unit}{degrees}, {relation} {requirement}.", met)
 
 
 def _compare(expectation: Expectation, number: float, unit: str) -> tuple[bool, str]:

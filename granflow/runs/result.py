@@ -12,7 +12,7 @@ from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.io.regular_files import read_regular_text
 from granflow.runs.expectations import Expectation, ExpectationResult, evaluate
-from granflow.visible_text import html_table, readable
+from granflow.visible_text import html_table, in_degrees, readable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -63,7 +63,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Table of all numbers with units for notebooks."""
-        rows = [(name, f"{readable(number)} {unit_of(name)}") for name, number in self.numbers.items()]
+        rows = [(name, f"{readable(number)} {_unit_text(name, number)}") for name, number in self.numbers.items()]
         expectations = [(each.sentence, "met" if each.met else "missed") for each in self.expectations]
         return html_table("Result", [*rows, *expectations])
 
@@ -195,16 +195,22 @@ def _total_rows(result: Result) -> list[tuple[str, str, str]]:
     """Return the rows of counts, state numbers, and totals of single outlets and walls, with their units."""
     names = [name for name in (*_COUNTS, *_STATE) if name in result.totals]
     names += [name for name in result.totals if "." in name]
-    return [(_label(name).replace(".", ", "), readable(result.totals[name]), unit_of(name)) for name in names]
+    totals = result.totals
+    return [(_label(name).replace(".", ", "), readable(totals[name]), _unit_text(name, totals[name])) for name in names]
 
 
 def _part_rows(parts: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str, str]]:
     """Return the rows of meters, metrics or walls by name."""
     return [
-        (f"{_label(quantity)}, {part}", readable(number), unit_of(f"{quantity}.{part}"))
+        (f"{_label(quantity)}, {part}", readable(number), _unit_text(f"{quantity}.{part}", number))
         for part, readings in parts.items()
         for quantity, number in readings.items()
     ]
+
+
+def _unit_text(name: str, number: float) -> str:
+    """Return the unit of a number, followed by the number in degrees if it is an angle."""
+    return unit_of(name) + in_degrees(number, unit_of(name))
 
 
 def _wall_force_rows(result: Result) -> list[tuple[str, str, str]]:

@@ -6,7 +6,13 @@ import pytest
 
 from granflow.runs.expectations import evaluate
 
-NUMBERS = {"mass_flow.outlet": 0.153, "particle_count": 8000, "energy_error": float("nan"), "kinetic_energy": 1e-9}
+NUMBERS = {
+    "mass_flow.outlet": 0.153,
+    "angle_of_repose.heap": 0.4,
+    "particle_count": 8000,
+    "energy_error": float("nan"),
+    "kinetic_energy": 1e-9,
+}
 
 
 def expected(quantity, **bound):
@@ -26,6 +32,11 @@ def expected(quantity, **bound):
             expected("mass_flow.outlet", above=0.2),
             "mass_flow.outlet is 0.153 kg/s, but should be above 0.2 kg/s.",
             False,
+        ),
+        (
+            expected("angle_of_repose.heap", above=0.3),
+            "angle_of_repose.heap is 0.4 rad (22.92 deg), as expected above 0.3 rad.",
+            True,
         ),
         (expected("kinetic_energy", below=1e-8), "kinetic_energy is 1e-09 J, as expected below 1e-08 J.", True),
         (expected("particle_count", equals=8000), "particle_count is 8000, as expected equal to 8000.", True),

@@ -53,9 +53,10 @@ def test_json_is_strict_and_contains_the_same_numbers(tmp_path):
 
 def test_table_shows_the_timings():
     console = Console(width=100, record=True, file=io.StringIO())
-    console.print(closing_table(RESULT))
+    angles = {"heap": {"angle_of_repose": 0.4, "angle_of_repose_error": float("nan")}}
+    console.print(closing_table(replace(RESULT, metrics=angles)))
     text = console.export_text()
-    for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000"):
+    for piece in ("1 234 567", "75%", "4.00 s", "mass flow, outlet", "kg/s", "0.153", "8 000", "rad (22.92 deg)"):
         assert piece in text
 
 

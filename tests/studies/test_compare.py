@@ -158,6 +158,19 @@ def test_matplotlib_figures_are_written(found, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
 
 
+def test_page_has_no_empty_distribution_of_forces(found):
+    """The two particles never have the contacts that a distribution requires."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+
+    from granflow.studies.compare.drawing import draw_contacts
+
+    figure = Figure()
+    draw_contacts(figure, found[0].runs)
+    assert [axes.get_xlabel() for axes in figure.axes] == ["contact duration (µs)"]
+    assert "No distribution of forces: no frame of the stage" in (found[1] / "compare.html").read_text()
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [

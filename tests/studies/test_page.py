@@ -96,6 +96,22 @@ def test_tables_have_the_caption_of_the_call_or_their_own(tmp_path):
     assert re.findall("<caption>(.*)</caption>", page_with(tmp_path)) == ["numbers", "its own caption"]
 
 
+def test_rows_of_wide_tables_are_labeled_for_narrow_screens(tmp_path):
+    wide = PageTable(("law", "a", "b", "c<", "d"), [("x", "1", "2", "3", "4")])
+    page = page_with(tmp_path, content=wide)
+    assert "<table class=cards>" in page and '<td data-label="c&lt;">3</td>' in page
+    assert '<td class=words data-label="law">x</td>' in page
+    narrow = page_with(tmp_path)
+    assert "class=cards" not in narrow and "data-label=" not in narrow.partition("</style>")[2]
+
+
+def test_styles_of_narrow_screens_follow_the_styles_that_they_replace():
+    style = (files("granflow.studies") / "templates" / "style.css").read_text()
+    wide, mark, narrow = style.partition("@media (max-width")
+    assert mark and all(f"{selector} {{" in wide for selector in (".gallery figure", "td.words", "body", "nav", "pre"))
+    assert narrow.count("{") == narrow.count("}") and ".gallery figure { width: 100%" in narrow
+
+
 def test_films_are_embedded_as_video(tmp_path):
     assert '<video controls loop muted src="data:video/mp4;base64,' in page_with(tmp_path, "a.mp4")
 

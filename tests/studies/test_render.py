@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,16 @@ from granflow.cli.main import main
 from granflow.cli.render import FITS
 from granflow.errors import GranflowError
 from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
-from granflow.studies.render.bounding_points import bounding_points, corners_of, outermost_points
-from granflow.studies.render.camera import OPENING, VIEWS, aspect_of, camera_for, view_of
+from granflow.studies.render.bounding_points import (
+    bounding_points,
+    corners_of,
+    drawn_box,
+    outermost_points,
+    particle_points,
+    plane_box,
+    planes_of,
+)
+from granflow.studies.render.camera import MARGIN, OPENING, VIEWS, aspect_of, camera_for, view_of
 from granflow.studies.render.colors import prefixed, scale_for, values_of
 from granflow.studies.render.frames import (
     FrameParticles,
@@ -23,7 +32,8 @@ from granflow.studies.render.frames import (
     read_walls,
     selected_frames,
 )
-from granflow.studies.render.render import decimals_of
+from granflow.studies.render.legend import round_length
+from granflow.studies.render.render import decimals_of, speed_of
 
 FLOOR = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 INTERVAL, COUNT = 0.25, 30
@@ -70,9 +80,27 @@ def test_each_frame_has_its_walls_and_contacts(run):
 def test_bounding_points_depend_on_the_fit(run):
     """`all` adds the walls to the points of `particles`; `domain` returns the corners of the box."""
     box = np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]])
-    points = {fit: bounding_points(fit, None, frames_of(run), box) for fit in FITS}
+    frames = frames_of(run)
+    points = {fit: bounding_points(fit, None, frames, box, particle_points(frames)) for fit in FITS}
     np.testing.assert_array_equal(points["domain"], corners_of(box))
     assert len(points["all"]) > len(points["particles"]) > 0
+
+
+def test_planes_are_clipped_to_the_particles_except_along_their_normal(run):
+    walls = read_walls(frames_of(run)[1])
+    scene = SimpleNamespace(walls={"floor": SimpleNamespace(shape="plane")})
+    assert planes_of(walls, scene) == [0] and planes_of(walls, None) == []
+    floor = walls.points_of([0]) * 100.0 - [0.0, 0.0, 7.0]
+    bed = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 1.0]])
+    np.testing.assert_allclose(plane_box(floor, bed), [[-0.1, -0.1, -1.0], [2.1, 1.1, 2.0]])
+    np.testing.assert_allclose(drawn_box(floor, bed), [[-0.1, -0.1, -np.inf], [2.1, 1.1, np.inf]])
+    assert np.isinf(drawn_box(floor, np.zeros((0, 3)))).all()
+
+
+def test_selected_walls_have_their_own_polygons_only(run):
+    walls = read_walls(frames_of(run)[1])
+    assert walls.numbers == [0] and walls.selected([0]).same_as(walls)
+    assert walls.selected([1]).polygons == ()
 
 
 def test_missing_files_are_skipped(run):
@@ -100,7 +128,13 @@ def test_frames_are_selected_by_position_number_or_time(run, text, numbers):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("7", "no such frame; the frames are 0 to 3"), ("soon", "a time is expected"), ("3 mm", "give last, first, all")],
+    [
+        ("9s", "--frame 9s: the frames are from 0 s to "),
+        ("-1 s", "give a time between them"),
+        ("7", "no such frame; the frames are 0 to 3"),
+        ("soon", "a time is expected"),
+        ("3 mm", "give last, first, all"),
+    ],
 )
 def test_absent_frames_are_rejected(run, text, message):
     with pytest.raises(GranflowError, match=message):
@@ -226,6 +260,25 @@ def test_time_label_has_enough_digits_to_distinguish_frames():
         1,
         0,
     ]
+
+
+def test_speed_of_a_film_is_stated_as_a_ratio():
+    times = np.arange(101) * 0.01
+    assert [speed_of(times, rate) for rate in (25.0, 100.0, 400.0)] == ["4x slower", "real time", "4x faster"]
+    assert speed_of([0.5], 25.0) == ""
+
+
+@pytest.mark.parametrize(("largest", "length"), [(0.011, 0.01), (0.0199, 0.01), (0.02, 0.02), (0.7, 0.5), (1.0, 1.0)])
+def test_scale_bar_has_a_round_length(largest, length):
+    assert round_length(largest) == pytest.approx(length, rel=1e-12)
+
+
+def test_shown_height_is_that_of_the_points_and_falls_with_the_zoom():
+    box = corners_of(np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]))
+    assert camera_for(view_of("front"), box, 1.2).shown_height == pytest.approx(3.0 * MARGIN)
+    small = camera_for(view_of("iso"), 1e-6 * box + [5.0, 0.0, 0.0], 1.2).shown_height
+    whole, near = (camera_for(view_of("iso"), box, 1.2, zoom).shown_height for zoom in (1.0, 2.0))
+    assert 3.0 < whole < 6.0 and near < 0.7 * whole and small == pytest.approx(1e-6 * whole, rel=1e-3)
 
 
 # Runs in a separate process: if no picture can be drawn, VTK aborts instead of raising.

@@ -18,6 +18,7 @@ from granflow.studies.report import sections as report_sections
 from granflow.studies.report.pictures import _caption
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.report import report_text
+from granflow.studies.report.sections import table_of
 from granflow.studies.report.series import MOST_POINTS, groups_of, thinned
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
@@ -176,6 +177,44 @@ def test_columns_of_one_quantity_and_unit_share_a_plot():
         ("pressure, lid", "Pa", ["pressure.lid"]),
         ("temperature", "K", ["temperature"]),
     ]
+
+
+def test_table_of_many_quantities_has_them_as_rows():
+    parts = {"floor": {f"q{k}": k for k in range(11)}, "lid": {"q1": 7.5}}
+    table = table_of("", parts)
+    assert list(table.heads) == ["", "floor", "lid"] and len(table.rows) == 11
+    assert table.rows[1] == ("q1", "1", "7.5") and table.rows[2] == ("q2", "2", "")
+    assert list(table_of("", {"a": {"p": 1, "q": 2}}).heads) == ["", "p", "q"]
+
+
+def test_energies_without_a_budget_are_quantities_over_time(run):
+    """The run has an energy budget; without its columns, the page shows the kinetic energy without a section."""
+    assert "Energy budget" in [topic.title for topic in report_sections.topics(read_run(run), with_plots=True)]
+    rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
+    assert rows[0][3] == "kinetic_energy [J]"
+    (run / "timeseries.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    (topic,) = [each for each in report_sections.topics(read_run(run), with_plots=True) if not each.tables]
+    assert topic.title == "Over time" and "kinetic energy" in topic.plots[-1].caption.lower()
+
+
+def test_energies_of_rounding_are_zero(run):
+    values = np.array([2e-6, 1e-6, 6e-43])
+    (table,) = report_sections._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
+    assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
+
+
+def test_angles_are_in_rad_and_degrees(run):
+    result = json.loads((run / "result.json").read_text())
+    result["metrics"] = {"left": {"angle_of_repose": 0.4, "angle_of_repose_error": 0.01}}
+    result["totals"]["angle_of_repose.left"] = 0.4
+    (run / "result.json").write_text(json.dumps(result))
+    tables = {table.caption: table for table in report_sections.remaining_numbers(read_run(run))}
+    assert tables["metrics in result.json"].rows == [["left", "0.4 (22.92 deg)", "0.01 (0.573 deg)"]]
+    assert ("angle of repose.left", "0.4", "rad (22.92 deg)") in tables["totals in result.json"].rows
+    series = TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())
+    (group,) = groups_of([SeriesColumn("angle_of_repose.left", "rad", np.array([0.0, np.pi / 4]))])
+    figure = plot_of(group, series).figure
+    assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
 
 
 def test_thinned_curve_keeps_peaks_and_ends():

@@ -103,6 +103,19 @@ def test_grid_contains_all_combinations_in_si_units():
     assert points[3].settings == {"d": 0.002, "a.b": 0.01, "c": 1.0}
 
 
+def test_values_of_a_grid_are_the_shortest_decimals():
+    def levels(**bounds):
+        content = {"scene": "a.yaml", "vary": {"a.x": bounds}, "read": ["step_count"]}
+        return [point.values["a.x"] for point in design_points(SweepInput.model_validate(content))]
+
+    tenths = levels(**{"from": 0.1, "to": 0.8, "count": 8})
+    assert tenths == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    assert levels(**{"from": 0.0, "to": 1.0, "count": 4}) == [0.0, 1 / 3, 2 / 3, 1.0]
+    decades = levels(**{"from": 1e-5, "to": 1.0, "count": 6, "scale": "log"})
+    assert decades == [1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0]
+    assert levels(**{"from": 1.0, "to": 2.0, "count": 3, "scale": "log"})[1] == 2.0**0.5
+
+
 def test_one_parameter_sets_several_keys_and_others_along_with_it():
     vary = {"hole": {"values": ["9 mm", "12 mm"], "keys": ["walls.plug.radius", "walls.floor.hole_radius"],
                      "with": {"stages.1.duration": ["2 s", "1 s"]}}}  # fmt: skip

@@ -68,8 +68,9 @@ def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
     sweep, table = swept(tmp_path, aborts=(4,))
     write_sweep_page(tmp_path, sweep, "study", table)
     page = (tmp_path / "sweep.html").read_text()
-    assert "Two parameters" in page and "overlap above the limit" in page
-    assert "Sobol indices require sampling: {kind: sobol, count: N}." in page
+    assert "Two parameters" in page and "overlap above the limit" in page and ">reason</th>" in page
+    assert "standard error" not in page and "equal intervals" not in page  # one seed, few values
+    assert "Sobol" not in page.partition("<body>")[2].partition("<script>")[0]
 
 
 def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):

@@ -94,22 +94,35 @@ def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
 
 
 def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
-    """Draw the distribution of normal forces and the survival function of the contact duration.
+    """Draw the distribution of normal forces and the survival function of the contact duration, if there are any.
 
-    The forces are those of the densest stage.
+    The forces are those of the densest stage; the duration is the last panel.
     """
-    left, right = figure.subplots(1, 2)
+    panels = figure.subplots(1, 2 if has_forces(runs) else 1, squeeze=False)[0]
+    if has_forces(runs):
+        _draw_forces(panels[0], runs)
+    for number, run in enumerate(runs):
+        times, share = run.duration_survival
+        steps = (1e6 * np.append(0.0, times), np.append(1.0, share))
+        panels[-1].step(*steps, where="post", label=run.variant.title, **_style(number))
+    panels[-1].set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
+    _legend(figure, panels[-1])
+
+
+def has_forces(runs: Sequence[VariantRun]) -> bool:
+    """Whether a run has a frame of the densest stage with enough contacts for a distribution of forces."""
+    stage = densest_stage(runs)
+    return any(np.any(run.forces.density(stage) > 0.0) for run in runs)
+
+
+def _draw_forces(axes: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw the distributions of normal forces of the densest stage."""
     stage = densest_stage(runs)
     middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
     for number, run in enumerate(runs):
-        style = _style(number)
         density = run.forces.density(stage)
-        left.plot(middles, np.where(density > 0.0, density, np.nan), label=run.variant.title, **style)
-        times, share = run.duration_survival
-        right.step(1e6 * np.append(0.0, times), np.append(1.0, share), where="post", **style)
-    left.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
-    right.set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
-    _legend(figure, left)
+        axes.plot(middles, np.where(density > 0.0, density, np.nan), **_style(number))
+    axes.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
 
 
 def draw_collisions(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow import Scene
-from granflow.studies.compare.bed_statistics import FORCE_EDGES, SURFACE_PERCENTILE
+from granflow.studies.compare.bed_statistics import FORCE_EDGES, MIN_CONTACTS, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
@@ -18,7 +18,7 @@ from granflow.studies.compare.collisions import (
     sweep_columns,
     sweeps_of,
 )
-from granflow.studies.compare.drawing import drawings
+from granflow.studies.compare.drawing import drawings, has_forces
 from granflow.studies.compare.paraview import SCRIPT, write_script
 from granflow.studies.compare.runs import BURSTS, SAMPLES, SAMPLES_PER_CONTACT, VariantRun, hertz_duration, run_all
 from granflow.studies.compare.spring_assessment import Assessment, assess
@@ -114,6 +114,8 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
         notes=[size_note(found), *stop_notes(found)],
         stage_note=stage_note(found),
         stage=densest_stage(runs),
+        has_forces=has_forces(runs),
+        least_contacts=MIN_CONTACTS,
         summary=PageTable(heads(runs), as_text(found.rows)),
         surface_percentile=SURFACE_PERCENTILE,
         bursts=BURSTS,

@@ -11,7 +11,13 @@ SAMPLED_FRAMES = 12
 """Number of frames of the whole run that determine the camera, so that all pictures of a run have the same camera."""
 
 PLANE_MARGIN = 0.5
-"""Margin of a plane around the particles, relative to their largest extent."""
+"""Largest distance of a shown plane from the particles, relative to their largest extent."""
+
+PLANE_OVERHANG = 0.05
+"""Overhang of the shown part of a plane over the particles, relative to their largest extent."""
+
+FLAT = 1e-6
+"""Extent of a plane along its normal, relative to its size, up to which it is normal to an axis."""
 
 
 EMPTY_BOX = np.array([[-0.5] * 3, [0.5] * 3])
@@ -30,18 +36,24 @@ def sampled(frames: Sequence[Frame], count: int) -> list[Frame]:
     return [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, count).astype(int))]
 
 
-def bounding_points(fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None) -> np.ndarray:
+def particle_points(frames: Sequence[Frame]) -> np.ndarray:
+    """Outermost points (n, 3) [m] of the particles of at most SAMPLED_FRAMES frames; (0, 3) without particles."""
+    return np.concatenate([outermost_points(read_particles(frame)) for frame in sampled(frames, SAMPLED_FRAMES)])
+
+
+def bounding_points(
+    fit: str, scene: Scene | None, frames: Sequence[Frame], domain: np.ndarray | None, particles: np.ndarray
+) -> np.ndarray:
     """Points (n, 3) [m] that the camera must show: the domain, or the outermost points of particles and walls.
 
-    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None. At most SAMPLED_FRAMES frames are read. Never
-    empty.
+    `fit`: "all", "particles" or "domain"; `domain` (2, 3) [m], or None; `particles` (k, 3) [m]: see `particle_points`.
+    At most SAMPLED_FRAMES frames are read. Never empty.
     """
     if fit == "domain" and domain is not None:
         return corners_of(domain)
-    sampled_frames = sampled(frames, SAMPLED_FRAMES)
-    points = np.concatenate([outermost_points(read_particles(frame)) for frame in sampled_frames])
+    points = particles
     if fit != "particles":
-        walls = [each for each in map(read_walls, sampled_frames) if each is not None]
+        walls = [each for each in map(read_walls, sampled(frames, SAMPLED_FRAMES)) if each is not None]
         points = np.concatenate([points, *(wall_points(each, scene, points, domain) for each in walls)])
     if len(points):
         return points
@@ -63,17 +75,39 @@ def wall_points(walls: FrameWalls, scene: Scene | None, particles: np.ndarray, d
 
     `particles` (k, 3) [m]: outermost points of the particles; `domain` (2, 3) [m], or None.
     """
+    planes = planes_of(walls, scene)
+    corners = [walls.points_of([number for number in walls.numbers if number not in planes])]
+    corners += [np.clip(each, *plane_box(each, particles)) for each in map(walls.points_of, ([k] for k in planes))]
+    points = np.concatenate(corners)
+    return points if domain is None else np.clip(points, *domain)
+
+
+def planes_of(walls: FrameWalls, scene: Scene | None) -> list[int]:
+    """Numbers of the shown walls that are unbounded planes."""
     kinds = [getattr(wall, "shape", "") for wall in scene.walls.values()] if scene is not None else []
-    numbers = {int(number) for each in walls.walls for number in np.unique(each)}
-    planes = {number for number in numbers if number < len(kinds) and kinds[number] == "plane"}
-    planes_near, other_corners = walls.points_of(sorted(planes)), walls.points_of(sorted(numbers - planes))
-    if domain is not None:
-        planes_near, other_corners = np.clip(planes_near, *domain), np.clip(other_corners, *domain)
-    if len(particles):
-        low, high = particles.min(axis=0), particles.max(axis=0)
-        margin = PLANE_MARGIN * np.max(high - low)
-        planes_near = np.clip(planes_near, low - margin, high + margin)
-    return np.concatenate([planes_near, other_corners])
+    return [number for number in walls.numbers if number < len(kinds) and kinds[number] == "plane"]
+
+
+def plane_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
+    """Box (2, 3) [m] of the shown part of a plane: around the particles, wider along the normal of the plane.
+
+    `plane` (m, 3) [m]: its corners in the frame; `particles` (k, 3) [m]: outermost points of the particles. All of the
+    plane without particles.
+    """
+    if not len(particles) or not len(plane):
+        return np.array([[-np.inf] * 3, [np.inf] * 3])
+    low, high = particles.min(axis=0), particles.max(axis=0)
+    extent = np.ptp(plane, axis=0)
+    margin = np.where(extent > FLAT * extent.max(), PLANE_OVERHANG, PLANE_MARGIN) * np.max(high - low)
+    return np.array([low - margin, high + margin])
+
+
+def drawn_box(plane: np.ndarray, particles: np.ndarray) -> np.ndarray:
+    """Box (2, 3) [m] to which the drawing of a plane is clipped: `plane_box`, unbounded along the normal."""
+    low, high = plane_box(plane, particles)
+    extent = np.ptp(plane, axis=0)
+    is_normal = extent <= FLAT * extent.max()
+    return np.array([np.where(is_normal, -np.inf, low), np.where(is_normal, np.inf, high)])
 
 
 def corners_of(box: np.ndarray) -> np.ndarray:

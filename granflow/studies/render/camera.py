@@ -70,6 +70,13 @@ class Camera:
     focus: np.ndarray
     half_height: float
 
+    @property
+    def shown_height(self) -> float:
+        """Height [m] of the shown part of the plane through the focus."""
+        if not self.view.perspective:
+            return 2.0 * self.half_height
+        return 2.0 * float(np.linalg.norm(self.eye - self.focus) * np.tan(0.5 * OPENING))
+
 
 def view_of(text: str, gravity: np.ndarray | None = None) -> View:
     """View by name: iso, front, side, top, or the direction to the viewer as three numbers "1,-2,0.8".

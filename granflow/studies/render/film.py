@@ -10,11 +10,11 @@ import numpy as np
 
 from granflow.io.atomic_files import replacing
 
-QUALITY = 8
-"""Quality on the scale 0 to 10 of imageio, without visible block artifacts around particles."""
+CONSTANT_RATE_FACTOR = 25
+"""Quality of H.264, 0 (lossless) to 51: without visible block artifacts around particles."""
 
-PLAYS_AT_ONCE = ("-f", "mp4", "-movflags", "+faststart")
-"""Explicit format, because the temporary name has another suffix, and the index first, so that browsers can stream."""
+OUTPUT = ("-crf", str(CONSTANT_RATE_FACTOR), "-f", "mp4", "-movflags", "+faststart")
+"""Quality; explicit format, because the temporary name has another suffix; the index first, for streaming."""
 
 
 def missing_for_film() -> str | None:
@@ -33,8 +33,8 @@ def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
         remaining = iter(pictures)
         first = next(remaining)
         writer = write_frames(
-            str(temporary), first.shape[1::-1], fps=rate, quality=QUALITY, macro_block_size=2,
-            output_params=list(PLAYS_AT_ONCE), ffmpeg_log_level="error",
+            str(temporary), first.shape[1::-1], fps=rate, quality=None, macro_block_size=2,
+            output_params=list(OUTPUT), ffmpeg_log_level="error",
         )  # fmt: skip
         with closing(writer):
             writer.send(None)

@@ -53,6 +53,17 @@ class FrameWalls:
     polygons: tuple[np.ndarray, ...]
     walls: tuple[np.ndarray, ...]
 
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of all walls, in ascending order."""
+        return sorted({int(number) for each in self.walls for number in np.unique(each)})
+
+    def selected(self, walls: Sequence[int]) -> "FrameWalls":
+        """The walls with the given numbers, with all points."""
+        parts = [(cells, wall, np.isin(wall, walls)) for cells, wall in zip(self.polygons, self.walls, strict=True)]
+        chosen = [(cells[is_chosen], wall[is_chosen]) for cells, wall, is_chosen in parts if np.any(is_chosen)]
+        return FrameWalls(self.points, tuple(cells for cells, _ in chosen), tuple(wall for _, wall in chosen))
+
     def same_as(self, other: "FrameWalls | None") -> bool:
         """Whether both contain the same walls in the same pose."""
         if other is None or self.points.shape != other.points.shape or len(self.polygons) != len(other.polygons):
@@ -96,7 +107,7 @@ def frames_of(directory: Path) -> list[Frame]:
 def selected_frames(frames: Sequence[Frame], text: str) -> list[Frame]:
     """Frames selected by last, first, all, a number as in the file names, a time such as 0.4s, or several of these.
 
-    Raises GranflowError for other text and for a number that does not exist.
+    Raises GranflowError for other text, and for a number or a time without a frame.
     """
     if text == "all":
         return list(frames)
@@ -119,6 +130,18 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
         time = to_si(word, "time")
     except UnitError as error:
         raise GranflowError(f"--frame {word}: {error}; or give last, first, all, or the number of a frame.") from None
+    return nearest_frame(frames, time, word)
+
+
+def nearest_frame(frames: Sequence[Frame], time: float, word: str) -> Frame:
+    """Frame nearest to a time [s], given as `word`.
+
+    Raises GranflowError for a time before the first frame or after the last by more than half the mean interval.
+    """
+    first, last = frames[0].time, frames[-1].time
+    margin = 0.5 * (last - first) / max(len(frames) - 1, 1)
+    if not first - margin <= time <= last + margin:
+        raise GranflowError(f"--frame {word}: the frames are from {first:g} s to {last:g} s; give a time between them.")
     return min(frames, key=lambda frame: abs(frame.time - time))
 
 

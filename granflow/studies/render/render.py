@@ -9,7 +9,14 @@ import numpy as np
 from granflow import Scene, read_run
 from granflow.errors import GranflowError
 from granflow.io.atomic_files import replacing
-from granflow.studies.render.bounding_points import bounding_points, domain_of, sampled
+from granflow.studies.render.bounding_points import (
+    bounding_points,
+    domain_of,
+    drawn_box,
+    particle_points,
+    planes_of,
+    sampled,
+)
 from granflow.studies.render.camera import Camera, HalfSpace, View, aspect_of, camera_for, view_of
 from granflow.studies.render.colors import Scale, scale_for, values_of
 from granflow.studies.render.frames import (
@@ -26,6 +33,9 @@ from granflow.studies.render.renderer import Renderer, require_pyvista
 
 HEIGHT = 1200
 """Height of a picture without a given size [pixels]."""
+
+FILM_HEIGHT = 900
+"""Height of a film without a given size [pixels]."""
 
 ASPECTS = (0.5, 1.9)
 """Minimum and maximum width over height of a picture without a given size."""
@@ -69,17 +79,22 @@ class PictureSetup:
     """Common properties of all pictures of a run.
 
     `size`: width and height [pixels], including the legend strip; `domain` (2, 3) [m] to which walls are clipped, or
-    None; `cut`: outside this half space, nothing is drawn.
+    None; `particles` (k, 3) [m]: outermost points of the particles, around which planes are clipped; `cut`: outside
+    this half space, nothing is drawn.
     """
 
     style: PictureStyle
+    scene: Scene | None
     scale: Scale
     camera: Camera
     size: tuple[int, int]
     domain: np.ndarray | None
+    particles: np.ndarray
     cut: HalfSpace | None
     decimals: int
     """Decimals of the time [s] that distinguish the frames."""
+    speed: str = ""
+    """Speed of a film relative to the simulated time, as text."""
 
 
 def write_pictures(
@@ -109,10 +124,15 @@ def name_of(style: PictureStyle) -> str:
     return "_".join(["picture", style.shown.replace(".", "_"), view, *(["cut"] if style.cut else [])])
 
 
-def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> Iterator[np.ndarray]:
-    """Yield pictures (height, width, 3), 0 to 255, of the frames. Raises the errors of `write_pictures`."""
+def pictures(
+    directory: Path, frames: Sequence[Frame], style: PictureStyle, rate: float | None = None
+) -> Iterator[np.ndarray]:
+    """Yield pictures (height, width, 3), 0 to 255, of the frames.
+
+    `rate`: pictures per second of a film, or None for single pictures. Raises the errors of `write_pictures`.
+    """
     require_pyvista()
-    setup = setup_for(directory, frames, style)
+    setup = setup_for(directory, frames, style, rate)
     renderer = Renderer((setup.size[0] - _strip_width(setup.size[1]), setup.size[1]), setup.camera)
     try:
         for frame in frames:
@@ -121,19 +141,35 @@ def pictures(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> I
         renderer.close()
 
 
-def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle) -> PictureSetup:
-    """Camera, color scale and size for all frames, so that pictures of one run are comparable."""
+def setup_for(directory: Path, frames: Sequence[Frame], style: PictureStyle, rate: float | None = None) -> PictureSetup:
+    """Camera, color scale and size for all frames, so that pictures of one run are comparable.
+
+    `rate`: pictures per second of a film, or None.
+    """
     run = read_run(directory)
     scene = None if run.scene_problem else run.scene
     view = view_of(style.view, None if scene is None else np.array(scene.gravity))
     whole = frames_of(directory)
     domain = domain_of(scene)
-    points = bounding_points(style.fit, scene, frames if style.fit == "particles" else whole, domain)
-    size = style.size or _size(aspect_of(view, points))
+    shown = frames if style.fit == "particles" else whole
+    particles = particle_points(shown)
+    points = bounding_points(style.fit, scene, shown, domain, particles)
+    size = style.size or _size(aspect_of(view, points), FILM_HEIGHT if rate else HEIGHT)
     camera = camera_for(view, points, (size[0] - _strip_width(size[1])) / size[1], style.zoom)
     cut = _cut(view, points) if style.cut else None
     scale = _scale(style, scene, sampled(frames, COLOR_FRAMES))
-    return PictureSetup(style, scale, camera, size, domain, cut, decimals_of([frame.time for frame in whole]))
+    decimals = decimals_of([frame.time for frame in whole])
+    speed = speed_of([frame.time for frame in frames], rate) if rate else ""
+    return PictureSetup(style, scene, scale, camera, size, domain, particles, cut, decimals, speed)
+
+
+def speed_of(times: Sequence[float], rate: float) -> str:
+    """Speed of a film of frames at these times [s] with `rate` pictures per second, as text: "4x slower"."""
+    interval = (times[-1] - times[0]) / max(len(times) - 1, 1)
+    if not interval > 0.0:
+        return ""
+    factor = f"{max(rate * interval, 1.0 / (rate * interval)):.3g}"
+    return "real time" if factor == "1" else f"{factor}x {'faster' if rate * interval > 1.0 else 'slower'}"
 
 
 def decimals_of(times: Sequence[float]) -> int:
@@ -142,10 +178,10 @@ def decimals_of(times: Sequence[float]) -> int:
     return max(0, -int(np.floor(np.log10(spacing) + 1e-3))) if spacing > 0.0 else 1
 
 
-def _size(aspect: float) -> tuple[int, int]:
+def _size(aspect: float, height: int) -> tuple[int, int]:
     """Picture size in pixels; even numbers, as films require."""
-    width = HEIGHT * min(max(aspect, ASPECTS[0]), ASPECTS[1])
-    return 2 * round(0.5 * width) + _strip_width(HEIGHT), HEIGHT
+    width = height * min(max(aspect, ASPECTS[0]), ASPECTS[1]) + _strip_width(height)
+    return 2 * round(0.5 * width), height
 
 
 def _strip_width(height: int) -> int:
@@ -191,13 +227,17 @@ def _picture(renderer: Renderer, setup: PictureSetup, frame: Frame) -> np.ndarra
     particles = read_particles(frame)
     if setup.cut is not None:
         particles = particles.selected(setup.cut.contains(particles.position))
-    renderer.set_walls(read_walls(frame), setup.domain, setup.cut)
+    walls = read_walls(frame)
+    planes = {k: walls.points_of([k]) for k in planes_of(walls, setup.scene)} if walls is not None else {}
+    boxes = {number: drawn_box(plane, setup.particles) for number, plane in planes.items()}
+    renderer.set_walls(walls, setup.domain, boxes, setup.cut)
     if setup.style.chains:
         _draw_chains(renderer, setup, read_force_chains(frame), particles)
     else:
         values = values_of(particles.arrays, setup.style.color) if len(particles.radius) else np.zeros(0)
         renderer.set_particles(particles, colors_of(values, setup.scale))
-    strip = legend_strip(setup.scale, f"{frame.time:.{setup.decimals}f} s", setup.size[1])
+    time, shown_height = f"{frame.time:.{setup.decimals}f} s", setup.camera.shown_height
+    strip = legend_strip(setup.scale, time, setup.size[1], shown_height, setup.speed)
     return np.concatenate([renderer.draw(), strip], axis=1)
 
 

@@ -1,5 +1,6 @@
 """Off-screen rendering of particles, walls and force chains with pyvista."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ FINER = 2
 
 WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
 """Style of walls in pyvista."""
+
+PLANE = WALL | {"opacity": 0.08}
+"""Style of unbounded planes."""
 
 EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
 """Style of edges of walls in pyvista."""
@@ -66,6 +70,7 @@ class Renderer:
         self._plotter.set_background("white")
         self._plotter.ren_win.SetMultiSamples(0)  # multisampling would show the edges of transparent triangles
         self._walls: FrameWalls | None = None
+        self._wall_actors: list[str] = []
         self._set_camera(camera)
 
     def draw(self) -> np.ndarray:
@@ -121,25 +126,49 @@ class Renderer:
         mesh_style = {"scalars": "color", "rgb": True, "smooth_shading": True, "opacity": opacity, **SHADE}
         self._plotter.add_mesh(spheres, name=name, reset_camera=False, render=False, **mesh_style)
 
-    def set_walls(self, walls: FrameWalls | None, box: np.ndarray | None, cut: HalfSpace | None) -> None:
+    def set_walls(
+        self,
+        walls: FrameWalls | None,
+        box: np.ndarray | None,
+        plane_boxes: Mapping[int, np.ndarray],
+        cut: HalfSpace | None,
+    ) -> None:
         """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the half space `cut`.
 
-        Walls that have not moved since the last frame are kept.
+        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. Walls that have not
+        moved since the last frame are kept.
         """
         if walls is not None and walls.same_as(self._walls):
             return
         self._walls = walls
-        for name in ("walls", "edges"):
+        for name in self._wall_actors:
             self._plotter.remove_actor(name, render=False)
-        if walls is None or not walls.polygons:
+        self._wall_actors = []
+        if walls is None:
             return
-        surface = self._clipped(self._surface(walls), box, cut)
-        if not surface.n_cells:
+        self._add_wall("walls", walls.selected([k for k in walls.numbers if k not in plane_boxes]), [box], cut, WALL)
+        for number, plane_box in plane_boxes.items():
+            self._add_wall(f"plane {number}", walls.selected([number]), [box, plane_box], cut, PLANE)
+
+    def _add_wall(
+        self,
+        name: str,
+        walls: FrameWalls,
+        boxes: Sequence[np.ndarray | None],
+        cut: HalfSpace | None,
+        style: Mapping[str, Any],
+    ) -> None:
+        """Add walls and their edges, clipped to the boxes and the half space, as actors with a common `name`."""
+        if not walls.polygons:
             return
-        self._plotter.add_mesh(surface, name="walls", reset_camera=False, render=False, **WALL)
-        edges = surface.extract_feature_edges(EDGE_ANGLE)
-        if edges.n_cells:
-            self._plotter.add_mesh(edges, name="edges", reset_camera=False, render=False, **EDGE_STYLE)
+        surface = self._surface(walls)
+        for box in boxes:
+            surface = self._clipped(surface, box, cut)
+        edges = surface.extract_feature_edges(EDGE_ANGLE) if surface.n_cells else surface
+        for part, mesh, look in ((name, surface, style), (f"edges of {name}", edges, EDGE_STYLE)):
+            if mesh.n_cells:
+                self._plotter.add_mesh(mesh, name=part, reset_camera=False, render=False, **look)
+                self._wall_actors.append(part)
 
     def set_chains(self, chains: ForceChains, thickness: np.ndarray, colors: np.ndarray) -> None:
         """Show contacts as tubes of radius `thickness` (k,) [m] in `colors` (k, 3), 0 to 255."""
@@ -174,9 +203,11 @@ class Renderer:
         """Part of a surface in the box and the half space."""
         planes = [cut] if cut else []
         if box is not None:
-            margin = 1e-3 * np.ptp(box, axis=0)
-            planes += [HalfSpace(box[0] - margin, -axis) for axis in np.eye(3)]
-            planes += [HalfSpace(box[1] + margin, axis) for axis in np.eye(3)]
+            finite = np.isfinite(box).all(axis=0)
+            low, high = np.where(finite, box, 0.0)
+            margin = 1e-3 * (high - low)
+            planes += [HalfSpace(low - margin, -axis) for axis in np.eye(3)[finite]]
+            planes += [HalfSpace(high + margin, axis) for axis in np.eye(3)[finite]]
         for plane in planes:
             if surface.n_cells and not np.all(plane.contains(surface.points)):
                 surface = surface.clip(normal=plane.normal, origin=plane.point)

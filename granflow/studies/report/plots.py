@@ -20,7 +20,10 @@ AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline
 """Style of axes in the format of plotly."""
 
 HEIGHT = 340
-"""Height of a plot [pixels]."""
+"""Height of a plot without its legend [pixels]."""
+
+LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
+"""Legend below the plot; the script of the page makes room for its rows."""
 
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
@@ -45,10 +48,11 @@ def library() -> str:
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     """Plot of a group of columns against time, with the stages of the run.
 
-    All columns of a group have the same unit.
+    All columns of a group have the same unit; angles are shown in degrees.
     """
-    curves = [_curve(number, column, series) for number, column in enumerate(group.columns)]
-    unit = f" ({group.unit})" if group.unit else ""
+    per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
+    curves = [_curve(number, column, series, per_unit, shown) for number, column in enumerate(group.columns)]
+    unit = f" ({shown})" if shown else ""
     layout = {
         "height": HEIGHT,
         "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
@@ -57,7 +61,7 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
         "plot_bgcolor": "white",
         "hovermode": "x unified",
         "showlegend": len(curves) > 1,
-        "legend": {"orientation": "h", "y": -0.28, "x": 0},
+        "legend": LEGEND,
         "xaxis": {**AXIS, "title": {"text": "time (s)"}, "exponentformat": "none", "hoverformat": ".6~g"},
         "yaxis": {**AXIS, "title": {"text": group.title + unit}},
         **_stage_marks(series),
@@ -65,9 +69,9 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
 
 
-def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[str, Any]:
-    """One curve in the format of plotly, with at most `series.MOST_POINTS` points."""
-    time, values = thinned(series.time, column.values)
+def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str) -> dict[str, Any]:
+    """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its unit."""
+    time, values = thinned(series.time, per_unit * column.values)
     rounds = number // len(COLORS)
     return {
         "type": "scatter",
@@ -76,7 +80,7 @@ def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable) -> dict[s
         "x": _plain(time),
         "y": _plain(values),
         "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
-        "hovertemplate": f"%{{y:.5~g}} {column.unit}",
+        "hovertemplate": f"%{{y:.5~g}} {unit}",
     }
 
 

@@ -10,13 +10,19 @@ import numpy as np
 
 from granflow import Run, explain, plan_for
 from granflow.errors import GranflowError
-from granflow.fields import FLOW_METER_QUANTITIES, TOTAL_QUANTITIES, WALL_FORCE_QUANTITIES, unit_of
+from granflow.fields import (
+    ENERGY_BUDGET_QUANTITIES,
+    FLOW_METER_QUANTITIES,
+    TOTAL_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
+    unit_of,
+)
 from granflow.io.log_reader import explanation, sessions, warnings_and_errors
 from granflow.io.time_series import SeriesColumn
 from granflow.studies.report.plots import Plot, plot_of
 from granflow.studies.report.series import groups_of
 from granflow.studies.tables import PageTable
-from granflow.visible_text import readable
+from granflow.visible_text import in_degrees, readable
 
 FROM_LOG = "From run.log."
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
@@ -55,6 +61,12 @@ ENERGIES, OTHERS = "Energy budget", "Over time"
 SEPARATE = ("run", "timings", "expect", *(each.key for each in READINGS.values()))
 """Sections of result.json that the page shows separately."""
 
+MOST_COLUMNS = 8
+"""Largest number of quantities of flow meters or walls that are columns of a table."""
+
+NEGLIGIBLE = 1e-15
+"""Share of its largest value in the run below which a quantity is rounding, and shown as 0."""
+
 ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
@@ -92,12 +104,15 @@ def progress(record: Run) -> PageTable:
 def _number_row(item: tuple[str, Any]) -> tuple[str, str, str]:
     """Name, number and unit."""
     name, number = item
-    return name.replace("_", " "), _shown(number), unit_of(name)
+    unit = unit_of(name)
+    return name.replace("_", " "), _shown(number), unit + (in_degrees(number, unit) if number is not None else "")
 
 
-def _shown(number: Any) -> str:
-    """A number as text, another value as it is; empty for None."""
-    return "" if number is None else readable(number) if isinstance(number, (int, float)) else str(number)
+def _shown(number: Any, unit: str = "") -> str:
+    """A number as text, of an angle [rad] with degrees; another value as it is; empty for None."""
+    if isinstance(number, int | float):
+        return readable(number) + in_degrees(number, unit)
+    return "" if number is None else str(number)
 
 
 def expectations(record: Run) -> PageTable:
@@ -114,32 +129,36 @@ def is_zero(column: SeriesColumn) -> bool:
     return not np.nan_to_num(column.values).any()
 
 
-def topic_of(column: SeriesColumn) -> str:
-    """Title of the topic of a column."""
+def topic_of(column: SeriesColumn, has_budget: bool = True) -> str:
+    """Title of the topic of a column; energies have their own only in a run with an energy budget."""
     quantity, _, part = column.name.partition(".")
     topics = (title for title, readings in READINGS.items() if part and quantity in readings.quantities)
-    return next(topics, ENERGIES if column.unit == "J" or quantity.startswith("energy") else OTHERS)
+    is_energy = has_budget and (column.unit == "J" or quantity.startswith("energy"))
+    return next(topics, ENERGIES if is_energy else OTHERS)
 
 
 def topics(record: Run, with_plots: bool) -> Iterator[Topic]:
     """Sections of flow, wall forces, energy budget, and all other quantities over time.
 
-    Columns of zeros are listed instead of plotted. `with_plots`: whether the plot library is available.
+    Columns of zeros are listed instead of plotted. Without an energy budget, energies are among the other quantities.
+    `with_plots`: whether the plot library is available.
     """
     series = record.series
     if series is None:
         yield Topic(OTHERS, (), ["The run has written no rows of timeseries.csv yet."], ())
         return
     zero_columns = [column.text for column in series.columns if is_zero(column)]
-    tables = {title: _readings(record, title) for title in READINGS} | {ENERGIES: _energy_budget(series.columns)}
+    has_budget = any(column.name in ENERGY_BUDGET_QUANTITIES for column in series.columns)
+    tables = {title: _readings(record, title) for title in READINGS}
+    tables |= {ENERGIES: _energy_budget(series.columns)} if has_budget else {}
     error = record.result_sections.get("totals", {}).get("energy_error")
     for title in (*READINGS, ENERGIES, OTHERS):
         sentences = []
         if title == OTHERS and zero_columns:
             sentences.append(f"Always zero: {', '.join(zero_columns)}.")
-        if title == ENERGIES and tables[ENERGIES] and error is not None:
+        if title == ENERGIES and tables.get(ENERGIES) and error is not None:
             sentences.append(f"Energy error: {error:.3g} of the largest energy input.")
-        columns = [column for column in series.columns if topic_of(column) == title and not is_zero(column)]
+        columns = [each for each in series.columns if topic_of(each, has_budget) == title and not is_zero(each)]
         if columns and not with_plots:
             sentences.append(NO_LIBRARY)
         plots = [plot_of(group, series) for group in groups_of(columns)] if with_plots else []
@@ -161,23 +180,30 @@ def _readings(record: Run, title: str) -> list[PageTable]:
 
 
 def table_of(caption: str, parts: Mapping[str, Mapping[str, Any]]) -> PageTable:
-    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity."""
+    """Table with a row for each part, such as a flow meter or a wall, and a column for each quantity.
+
+    With more than MOST_COLUMNS quantities and fewer parts, the rows are the quantities and the columns the parts.
+    """
     names = list(dict.fromkeys(name for numbers in parts.values() for name in numbers))
     units = [unit_of(name + ".x") for name in names]
     heads = [name.replace("_", " ") + (f" ({unit})" if unit else "") for name, unit in zip(names, units, strict=True)]
-    rows = [[part, *(_shown(numbers.get(name)) for name in names)] for part, numbers in parts.items()]
+    columns = list(zip(names, units, strict=True))
+    rows = [[part, *(_shown(numbers.get(name), unit) for name, unit in columns)] for part, numbers in parts.items()]
+    if len(parts) < MOST_COLUMNS < len(names):
+        return PageTable(["", *parts], list(zip(heads, *(row[1:] for row in rows), strict=True)), caption)
     return PageTable(["", *heads], rows, caption)
 
 
 def _energy_budget(columns: Iterable[SeriesColumn]) -> list[PageTable]:
-    """Each energy at the start and at the end, and its largest absolute value [J]."""
+    """Each energy at the start and at the end, and its largest absolute value [J]; NEGLIGIBLE shares of it are 0."""
     rows = []
     for column in columns:
         if column.unit == "J" and not is_zero(column):
             known = TOTAL_QUANTITIES.get(column.name)
             values = column.values[np.isfinite(column.values)]
             numbers = (values[0], values[-1], max(values.max(), values.min(), key=abs))
-            rows.append([column.text, *(f"{number + 0.0:.4g}" for number in numbers), known.meaning if known else ""])
+            shown = (number if abs(number) > NEGLIGIBLE * abs(numbers[-1]) else 0.0 for number in numbers)
+            rows.append([column.text, *(f"{number + 0.0:.4g}" for number in shown), known.meaning if known else ""])
     return [PageTable(("", "first", "last", "largest", "meaning"), rows, "Energies in J.")] if rows else []
 
 
@@ -228,8 +254,17 @@ def remaining_numbers(record: Run) -> list[PageTable]:
         if name in SEPARATE or not isinstance(numbers, Mapping) or not numbers:
             continue
         caption = f"{name} in result.json"
+        if name == "totals":
+            numbers = {key: _unless_negligible(record, key, number) for key, number in numbers.items()}
         if all(isinstance(each, Mapping) for each in numbers.values()):
             found.append(table_of(caption, numbers))
         else:
             found.append(PageTable(("", "", ""), list(map(_number_row, numbers.items())), caption))
     return found
+
+
+def _unless_negligible(record: Run, name: str, number: Any) -> Any:
+    """The last value of a quantity, 0 if it is a NEGLIGIBLE share of its largest value in the time series."""
+    columns = record.series.columns if record.series is not None else ()
+    largest = max((np.nanmax(np.abs(each.values), initial=0.0) for each in columns if each.name == name), default=0.0)
+    return 0.0 if isinstance(number, float) and abs(number) < NEGLIGIBLE * largest else number

@@ -34,7 +34,7 @@ EXPLANATIONS = {
     "floor must carry exactly the weight for 20 000 steps. The energy budget must be balanced for a bed of 64 "
     "particles compressed by a lid, two particles with an initial overlap of 50 %, a particle that hits a bed at "
     "1 km/s, friction 0 and 10, two colliding clouds without gravity, and a floor that vibrates at 100 g. An initial "
-    "overlap stores energy; `numerics.max_overlap` limits it. Without this limit the particles must separate with "
+    "overlap stores energy; numerics.max_overlap limits it. Without this limit the particles must separate with "
     "the energy that the contact model returns.",
     BOUNDS: "Particles with the overlap that the check assumes get a small perturbation. A bisection to 2 % finds the "
     "time step at which the perturbation grows, for one particle between 2, 6 or 12 fixed particles, a straight chain "

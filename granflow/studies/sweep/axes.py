@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from granflow.studies.report.plots import AXIS
+from granflow.studies.report.plots import AXIS, LEGEND
 
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"}
 
@@ -18,7 +18,8 @@ def layout(height: int, **more: Any) -> dict[str, Any]:
     """Layout of a plot with the style of all pages; `height` [pixels]."""
     return {
         "height": height, "margin": {"l": 70, "r": 20, "t": 30, "b": 55}, "font": FONT, "paper_bgcolor": "white",
-        "plot_bgcolor": "white", "showlegend": False, "hovermode": "closest", **more,
+        "plot_bgcolor": "white", "showlegend": False, "legend": LEGEND, "hovermode": "closest",
+        **more,
     }  # fmt: skip
 
 

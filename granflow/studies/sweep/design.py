@@ -2,7 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
+from math import ulp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,13 +73,13 @@ def _grid_levels(name: str, variation: Any) -> Iterator[_Level]:
     """All values of a parameter in a grid."""
     if isinstance(variation, ValueRange):
         count = variation.count or 1
-        yield from (_level_at(name, variation, k / max(count - 1, 1)) for k in range(count))
+        yield from (_level_at(name, variation, Fraction(k, max(count - 1, 1))) for k in range(count))
     else:
         values = variation.values if isinstance(variation, ValueList) else variation
         yield from (_listed(name, variation, k) for k in range(len(values)))
 
 
-def _level_at(name: str, variation: Any, share: float) -> _Level:
+def _level_at(name: str, variation: Any, share: float | Fraction) -> _Level:
     """The value at a fraction `share` of the range, or of the list, in which all values are equally probable."""
     if isinstance(variation, ValueRange):
         value = value_at(variation, share)
@@ -86,13 +88,24 @@ def _level_at(name: str, variation: Any, share: float) -> _Level:
     return _listed(name, variation, int(share * len(values)))
 
 
-def value_at(bounds: ValueRange, share: float) -> float:
-    """The value at a fraction of a range; fractions 0 and 1 give the bounds exactly."""
+SHORT = 9
+"""Significant digits of a value that a person would type."""
+
+
+def value_at(bounds: ValueRange, share: float | Fraction) -> float:
+    """The value at a fraction of a range; fractions 0 and 1 give the bounds exactly.
+
+    Linear values are those of exact arithmetic with the decimals of the bounds: 0.3, not 0.30000000000000004.
+    Logarithmic values that differ from a decimal of SHORT digits by rounding only are that decimal.
+    """
     if share in (0.0, 1.0):
         return bounds.stop if share else bounds.start
     if bounds.scale == "log":
-        return float(bounds.start * (bounds.stop / bounds.start) ** share)
-    return bounds.start + share * (bounds.stop - bounds.start)
+        value = float(bounds.start * (bounds.stop / bounds.start) ** float(share))
+        short = float(f"{value:.{SHORT}g}")
+        return short if abs(short - value) <= 4.0 * ulp(value) else value
+    start, stop = (Fraction(repr(float(each))) for each in (bounds.start, bounds.stop))
+    return float(start + Fraction(share) * (stop - start))
 
 
 def _listed(name: str, variation: Any, index: int) -> _Level:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.studies.page import page_text
 from granflow.studies.report.plots import library
@@ -12,6 +13,7 @@ from granflow.studies.sweep.sensitivity import sobol_indices
 from granflow.studies.sweep.series_overlay import series_overlay
 from granflow.studies.sweep.table import SweepTable, label
 from granflow.studies.tables import PageTable
+from granflow.visible_text import in_degrees
 
 PAGE = "sweep.html"
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[sweep], then repeat the command."
@@ -61,13 +63,18 @@ def _statuses(table: SweepTable) -> PageTable:
 
 
 def _points(table: SweepTable) -> PageTable:
-    """All points: parameters, status, quantities with standard errors, run directories, reasons."""
+    """All points: parameters, status, quantities with standard errors, run directories, reasons if there are any."""
     rows = []
     for row in table.rows:
         values = [str(plain(row.point.values[name], 6)) for name in table.parameters]
-        numbers = [_with_error(row.mean(name), row.standard_error(name)) for name in table.quantities]
+        numbers = [
+            _with_error(row.mean(name), row.standard_error(name)) + in_degrees(row.mean(name), unit_of(name))
+            for name in table.quantities
+        ]
         rows.append([*values, row.outcome.status, *numbers, " ".join(row.directories), row.outcome.reason])
     heads = [*map(last_key, table.parameters), "status", *map(label, table.quantities), "runs", "reason"]
+    if not any(row[-1] for row in rows):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
     return PageTable(heads, rows)
 
 

@@ -42,7 +42,8 @@ def usable_rows(table: SweepTable) -> list[PointRow]:
 def main_effects(table: SweepTable, quantity: str) -> Plot:
     """Points, and mean over all points with the same value of a parameter, one plot for each parameter."""
     rows = [row for row in table.rows if np.isfinite(row.mean(quantity))]
-    data = []
+    data: list[dict[str, Any]] = []
+    binned = False
     for k, name in enumerate(table.parameters):
         axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
         values = [plain(row.point.values[name]) for row in rows]
@@ -52,10 +53,13 @@ def main_effects(table: SweepTable, quantity: str) -> Plot:
              "hovertext": [hover(row, table) for row in rows], **axes}
         )  # fmt: skip
         data.append({**_mean_line(values, rows, quantity), **axes})
+        binned = binned or len(_groups(values)) < len(set(values))
     titles = [last_key(name) for name in table.parameters]
+    has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
     caption = (
-        f"{label(quantity)}: mean over all points with the same value of a parameter, or in equal intervals of it "
-        "(line), with its standard error, and all points (light)"
+        f"{label(quantity)}: mean over all points with the same value of a parameter"
+        f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
+        ", and all points (light)"
     )
     return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, label(quantity)))})
 
@@ -98,9 +102,12 @@ def scatter_matrix(table: SweepTable) -> Plot:
     """Each parameter and quantity against each other."""
     rows = usable_rows(table)
     dimensions = [
-        {"label": last_key(name), "values": [plain(row.point.values[name]) for row in rows]}
+        {"label": last_key(name).replace(".", ".<br>"), "values": [plain(row.point.values[name]) for row in rows]}
         for name in table.parameters
-    ] + [{"label": name, "values": [plain(row.mean(name)) for row in rows]} for name in table.quantities]
+    ] + [
+        {"label": name.replace(".", ".<br>"), "values": [plain(row.mean(name)) for row in rows]}
+        for name in table.quantities
+    ]
     data = {
         "type": "splom", "dimensions": dimensions, "text": [hover(row, table) for row in rows], "hoverinfo": "text",
         "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7}, "diagonal": {"visible": False},
@@ -161,7 +168,10 @@ def parallel_coordinates(table: SweepTable) -> Plot:
          "hovertext": hover(row, table), "hoverinfo": "text"}
         for row in shown
     ]  # fmt: skip
-    ends = [f"{name}<br>{_end(values, min)} to {_end(values, max)}" for name, values in columns.items()]
+    ends = [
+        f"{name.replace('.', '.<br>')}<br>{_end(values, min)} to {_end(values, max)}"
+        for name, values in columns.items()
+    ]
     x_axis = axis("", tickvals=names, ticktext=ends)
     y_axis = axis("share of the range")
     caption = (

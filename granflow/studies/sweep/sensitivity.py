@@ -25,12 +25,14 @@ class SobolIndices(NamedTuple):
 
 
 def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndices], str]:
-    """First-order and total Sobol indices of each quantity, and a sentence if there are none.
+    """First-order and total Sobol indices of each quantity, and a sentence if some are missing.
+
+    Neither for other samplings than Saltelli's design.
 
     (I. M. Sobol, Math. Comput. Simul. 55 (2001) 271; A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259.)
     """
     if not isinstance(sweep.sampling, SobolSampling):
-        return [], "Sobol indices require sampling: {kind: sobol, count: N}."
+        return [], ""
     try:
         from SALib.analyze import sobol
     except ImportError:

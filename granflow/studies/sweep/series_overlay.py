@@ -6,7 +6,7 @@ from typing import Any
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.figures import COLORS
-from granflow.studies.report.plots import Plot
+from granflow.studies.report.plots import DASHES, Plot
 from granflow.studies.report.series import thinned
 from granflow.studies.sweep.axes import axis, layout, plain
 
@@ -33,7 +33,8 @@ def series_overlay(runs: Mapping[str, Path], first: Sequence[str]) -> Plot | Non
     columns = _columns(list(found.values()), first)
     curves = {column.name: [_curve(series, column.name) for series in found.values()] for column in columns}
     data = [
-        {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": {"color": COLORS[k % len(COLORS)]},
+        {"type": "scatter", "mode": "lines", "name": name.partition("<br>")[0], "x": x, "y": y,
+         "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
          "hovertemplate": f"%{{y:.4~g}}<br>{name}<extra></extra>"}
         for k, (name, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
     ]  # fmt: skip
