@@ -1,5 +1,7 @@
 """Metrics of synthetic beds with known values."""
 
+import json
+
 import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
@@ -14,6 +16,7 @@ from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
 from granflow.observers.metrics.structure import anisotropy, center_of_mass, coordination, fabric_tensor, sliding_share
 from granflow.plan.build import plan_for
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
+from granflow.simulation import Simulation
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
 
@@ -103,6 +106,32 @@ def test_slope_without_a_heap_is_nan():
     for slope_of in (slope_of_cone, slope_of_plane):
         assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
         assert np.isnan(slope_of(np.zeros((1, 3)), np.ones(1), 0.01).angle)
+
+
+@pytest.mark.parametrize("columns", [4, 10, 100])
+def test_rough_level_surface_is_not_a_slope(columns):
+    """Tops of a block, with independent heights: one of 100 is taken for a slope; 400 have 4 +- 2 of these."""
+    random, found = np.random.default_rng(columns), []
+    for _ in range(400):
+        x = np.arange(columns) // 2
+        points = np.column_stack([x, np.arange(columns) % 2, 10.0 + random.normal(0.0, 0.3, columns)])
+        found.append(slope_of_plane(points, np.full(columns, 0.5), 0.5))
+    accepted = [slope for slope in found if not np.isnan(slope.angle)]
+    assert len(accepted) <= 4 + 4 * 2
+    assert all("surface points, as on a rough level surface" in slope.reason for slope in found if slope.reason)
+    assert sum(bool(slope.reason) for slope in found) == 400 - len(accepted)
+
+
+def test_slope_needs_a_fit_that_chance_explains_in_less_than_one_of_100_surfaces():
+    """For a plane, the chance is (1 - R^2)^((n - 3) / 2): with 7 points, R^2 = 0.9 is the limit."""
+    x = np.array([-1.0, 1.0, -1.0, 1.0, 0.0, 0.0, 0.0])
+    y = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 0.0])
+    scatter = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, -2.0])  # no gradient, mean 0; its square sum is 6
+    for share, is_slope in ((0.099, True), (0.101, False)):
+        height = 0.5 * x + scatter * np.sqrt(share / (1.0 - share) / 6.0)  # the square sum of 0.5 x is 1
+        slope = slope_of_plane(np.column_stack([x, y, height]), np.full(7, 0.5), 0.5)
+        assert bool(slope.reason) != is_slope
+        assert slope.angle == pytest.approx(np.arctan(0.5)) if is_slope else np.isnan(slope.angle)
 
 
 def contacts_along(directions):
@@ -211,6 +240,9 @@ def test_upward_direction_is_opposite_to_gravity():
     meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
+    assert meter.remark() == ""
+    meter.update(snapshot_of(1.0, particles=particles | {"coordination_number": np.zeros(count)}))
+    assert meter.remark() == ("the angle of repose is NaN: there are no particles with enough contacts in the region")
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():
@@ -237,3 +269,16 @@ def test_probe_follows_one_particle_by_its_id():
         assert list(meter.readings().values()) == pytest.approx(expected)
     meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=np.arange(10) + 5, **moving)))
     assert np.isnan(list(meter.readings().values())).all()
+
+
+def test_undefined_angle_of_repose_is_reported_at_the_end_of_the_run(tmp_path, taichi_f64):
+    """A single particle is not a heap: null in result.json, with the reason in its warnings."""
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.1]])}, gravity=[0.0, 0.0, -9.81], run={"duration": 1e-3},
+        output={"interval": 1e-3, "metrics": {"heap": {"kind": "repose", "surface": "cone"}}},
+    )  # fmt: skip
+    Simulation(scene, out=tmp_path / "run").run()
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["metrics"]["heap"]["angle_of_repose"] is None
+    reason = "there are no particles with enough contacts in the region"
+    assert result["warnings"].count(f"output.metrics.heap: the angle of repose is NaN: {reason}.") == 1

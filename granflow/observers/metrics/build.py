@@ -104,8 +104,10 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
     frame = frame_along(upwards)
     edge = COLUMN_WIDTH * 2.0 * plan.radius_max
     axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
+    reason = ""
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
+        nonlocal reason
         particles = mobile_particles(snapshot.particles)
         contacts = particles["coordination_number"] + wall_contacts(particles)
         heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], spec.region))
@@ -114,9 +116,10 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
             slope = slope_of_cone(points, heap["radius"], edge, axis)
         else:
             slope = slope_of_plane(points, heap["radius"], edge)
+        reason = slope.reason
         return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
 
-    return MetricMeter(measure, NEEDS_PARTICLES)
+    return MetricMeter(measure, NEEDS_PARTICLES, lambda: reason and f"the angle of repose is NaN: {reason}")
 
 
 def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:
