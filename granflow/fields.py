@@ -322,6 +322,8 @@ WALL_QUANTITIES = _by_name(
 
 _INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
+    Quantity("segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"),
+    Quantity("segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
     Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
     Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),

@@ -11,8 +11,9 @@ from granflow.fields import METRIC_QUANTITIES
 from granflow.observers.coarse_graining.field_grid import CoarseGrid
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
-from granflow.observers.metrics.mixing import lacey_index
+from granflow.observers.metrics.mixing import dropped_share, lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observers.metrics.segregation import random_intensity, segregation_intensity
 from granflow.observers.metrics.structure import anisotropy, center_of_mass, coordination, fabric_tensor, sliding_share
 from granflow.plan.build import plan_for
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
@@ -60,6 +61,53 @@ def test_lacey_index_ignores_cells_with_few_particles():
     assert lacey_index(points, of_kind, tall, 2) == lacey_index(points[:5000], of_kind[:5000], tall, 2)
     assert np.isnan(lacey_index(points, of_kind, tall, 1000))
     assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
+
+
+def test_lacey_index_reports_the_component_in_cells_with_few_particles():
+    """Eight big particles fill the cell on the right: with at_least 10, the index excludes them."""
+    points = np.vstack([random_points(1000) * [0.5, 1.0, 1.0], np.full((8, 3), [0.75, 0.5, 0.5])])
+    of_kind, grid = np.arange(1008) < 1000, CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
+    assert dropped_share(points, of_kind, grid, 10) == 1.0
+    assert dropped_share(points, of_kind, grid, 8) == 0.0
+    assert np.isnan(lacey_index(points, of_kind, grid, 10))
+    mix = {"kind": "lacey", "cell": 0.5, "region": {"min": [0.0] * 3, "max": [1.0] * 3}, "groups": ["red"]}
+    meter = metric_meters(plan_for(scene_with(mix=mix)))["mix"]
+    for count, expected in ((1008, True), (1000, False)):
+        group = np.where(np.arange(count) < 1000, np.arange(count) % 2 * (count == 1000), 1)
+        arrays = {"position": points[:count], "group": group, "fixed": np.zeros(count, np.uint8)}
+        meter.update(snapshot_of(count, particles=particles_of(count, **arrays)))
+        assert meter.remark().startswith("the Lacey index excludes 100% of the particles of one") == expected
+
+
+def test_segregation_intensity_in_closed_form():
+    """Two cells with the volumes 4 and 2: c = 1/2, c_k = 1/4 and 1; I = (4 (1/4)^2 + 2 (1/2)^2) / (6 / 4) = 1/2.
+
+    Six particles: one of volume 1 of the first kind and one of volume 3 of the other kind, then four of 1/2.
+    """
+    points = np.array([[0.2, 0.5, 0.5]] * 2 + [[0.8, 0.5, 0.5]] * 4)
+    volume, is_first = np.array([1.0, 3.0, 0.5, 0.5, 0.5, 0.5]), np.array([1, 0, 1, 1, 1, 1], bool)
+    grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
+    assert segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
+    # v_a = (1 + 4/4) / 3 = 2/3 and v_b = 3: I_R = 2 (3/2 + 1/3) / 6.
+    assert random_intensity(points, volume, is_first, grid) == pytest.approx(2.0 * (1.5 + 1.0 / 3.0) / 6.0)
+    assert np.isnan(segregation_intensity(points, volume, np.ones(6, bool), grid))
+    assert np.isnan(random_intensity(points, volume, np.ones(6, bool), grid))
+
+
+def test_segregation_intensity_of_separate_and_of_random_mixtures_of_two_sizes():
+    """Size ratio 2, so volumes 8 and 1; 200 random mixtures scatter about I_R, to first order in 1 / n."""
+    random, count = np.random.default_rng(3), 5000
+    volume = np.where(np.arange(count) % 5 == 0, 8.0, 1.0)
+    separate = np.where(volume[:, None] > 1.0, [0.1, 0.5, 0.5], [0.9, 0.5, 0.5])
+    assert segregation_intensity(separate, volume, volume > 1.0, CUBE) == pytest.approx(1.0)
+    points = [random.uniform(0.0, 1.0, (count, 3)) for _ in range(200)]
+    ratios = [
+        segregation_intensity(each, volume, volume > 1.0, CUBE) / random_intensity(each, volume, volume > 1.0, CUBE)
+        for each in points
+    ]
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    # A cell contains 8 particles of the first kind: the next order is about 1 / 40 particles.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * error + 1.0 / 40.0)
 
 
 def bed(angle, shape, length=0.1, spacing=0.0026):
@@ -200,6 +248,7 @@ def test_scene_metrics_are_reported_by_name():
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
         center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
+        segregation={"kind": "segregation", "cell": 0.2, "region": region, "groups": ["red"]},
         sliding={"kind": "sliding"}, tracer={"kind": "probe", "id": 1},
     )  # fmt: skip
     kind = np.arange(5000) % 2
