@@ -13,8 +13,11 @@ FLANK = (0.8, 0.2)
 FEWEST = 4
 """Smallest number of surface points for a fit."""
 
-SIGNIFICANCE = 0.01
-"""Share of rough level surfaces, with independent heights of the points, that a fit takes for a slope."""
+SIGNIFICANCE = 0.05
+"""Largest share of rough level surfaces, with independent heights of the points, that a fit takes for a slope."""
+
+RELATIVE_ERROR = 0.25
+"""Largest standard error of a gradient over its magnitude."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,9 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
 
         angle = arctan |g|,      error = sqrt(d C d) / (1 + |g|^2)
 
-    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit must be
-    significant: a level surface with independent, normally distributed heights must reach its coefficient of
-    determination R^2 with a probability below SIGNIFICANCE (F-test of the regression).
+    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a slope if
+    sqrt(d C d) is at most RELATIVE_ERROR |g|, and if a level surface with independent, normally distributed heights has
+    the same coefficient of determination R^2 with a probability below SIGNIFICANCE (F-test of the regression).
     """
     if len(height) < FEWEST:
         return no_slope(f"the surface has {len(height)} points, but a fit needs at least {FEWEST}")
@@ -107,15 +110,16 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
     residual = height - matrix @ found
     total = float(((height - height.mean()) ** 2).sum())
     unexplained = float(residual @ residual) / total if total > 0.0 else 1.0
-    if not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
-        return no_slope(
-            f"a line or plane explains only {1.0 - unexplained:.0%} of the variance of the heights of {len(height)} "
-            "surface points, as on a rough level surface: the surface is not a slope, or the region contains too few "
-            "points of it"
-        )
     spread = np.linalg.inv(matrix.T @ matrix)[1:, 1:] * (residual @ residual) / freedom
-    along = gradient / steepness
-    return Slope(float(np.arctan(steepness)), float(np.sqrt(along @ spread @ along)) / (1.0 + steepness**2))
+    along = gradient / steepness if steepness > 0.0 else gradient
+    error = float(np.sqrt(along @ spread @ along))
+    if error > RELATIVE_ERROR * steepness or not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
+        return no_slope(
+            f"the fit to {len(height)} points of the surface explains {1.0 - unexplained:.0%} of the variance of their "
+            "heights, and rough level surfaces reach as much by chance: the surface is not a slope, or the region is "
+            "too small"
+        )
+    return Slope(float(np.arctan(steepness)), error / (1.0 + steepness**2))
 
 
 def _chance(unexplained: float, slopes: int, freedom: int) -> float:
