@@ -210,6 +210,9 @@ FIELD_QUANTITIES = _by_name(
         Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
         Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
         Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity(
+            "granular_temperature_of_frames", "", "m2/s2", "the same; in means over time without changes of V in time"
+        ),
         Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
         Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
         Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
