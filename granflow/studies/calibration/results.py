@@ -107,7 +107,10 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
     response = fit_response(u, residuals, best, search.standard_errors(completed))
     if response is None:
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
-        return [BestValue(name, values[name], nan, nan, f"{name} is not identified: {few}.") for name in parameters]
+        return [
+            BestValue(name, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
+            for name in parameters
+        ]
     known = identification(response, u[best])
     return [
         BestValue(
