@@ -67,7 +67,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
         return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken)
     arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
-    if code in (ABORT_OVERLAP, ABORT_FORCE) and step_taken:
+    if code == ABORT_OVERLAP and step_taken:
         # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
@@ -111,7 +111,7 @@ def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], tim
     """All candidate pairs at their present positions; after a jump, at the positions before it."""
     owner, _list_index, partner = candidate_pairs(state)
     position, velocity = arrays["position"], arrays["velocity"]
-    if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT):
+    if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE):
         position = position - state.clock.time_step * velocity
         position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
     partner_index = np.maximum(partner, 0)

@@ -48,6 +48,28 @@ def add_energy(sums: ti.template(), chunk, term: ti.template(), terms: ti.templa
     sums[chunk][high_word] = sums[chunk][high_word] + shares * high
 
 
+def holds_sums(state: State) -> bool:
+    """Whether the fields of forces and torques represent their exact sums, with the rounded weight: in f64."""
+    return state.backend.real == ti.f64
+
+
+def build_weight_rest(state: State) -> Any:
+    """Device function (weight [N], shift of forces): what the rounded weight lacks; zero unless `holds_sums`.
+
+    It is below 2e-14 of the largest force of a contact.
+    """
+    exact, to_grid = holds_sums(state), build_to_grid(state.backend.real)
+
+    @ti.func
+    def weight_rest(weight, shift):
+        rest = 0.0 * weight
+        if ti.static(exact):
+            rest = weight - to_grid(weight, shift)
+        return rest
+
+    return weight_rest
+
+
 def build_to_grid(real: Any) -> Any:
     """Device function (force or torque, shift): the nearest multiple of a unit; opposite for opposite arguments.
 

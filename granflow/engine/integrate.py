@@ -11,20 +11,25 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
+from granflow.engine.exact_sums import build_weight_rest
 from granflow.engine.force.damping import build_add_damping_loss
 from granflow.engine.force.external_forces import build_add_external_work
 from granflow.engine.frozen_masks import build_mobility
-from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_NOT_FINITE
+from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_FORCE, ABORT_NOT_FINITE
 from granflow.engine.periodic_box import build_wrap
 from granflow.engine.state import State
 from granflow.kernel_language import ti
+from granflow.plan.sum_units import FORCE, SUM_BITS, TORQUE
+
+LIMIT_SQUARED = 2.0 ** (2 * SUM_BITS)
+"""Largest squared sum of forces or torques in units: below it, all sums are exact."""
 
 
 def build_integrate(state: State) -> Any:
     """Device function (chunk, count, pose, time_step): kick and drift the particles of one chunk.
 
     Requests a rebuild if a particle has moved by more than its reach since the last one; aborts if a position is
-    not finite or a displacement in one step exceeds `plan.travel_limit`.
+    not finite, a displacement in one step exceeds `plan.travel_limit`, or a force the range of exact sums.
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
@@ -37,6 +42,9 @@ def build_integrate(state: State) -> Any:
     add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
 
+    weight_rest, above_limit, real = build_weight_rest(state), _build_above_limit(state), state.backend.real
+    gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
+
     @ti.func
     def request_abort(code, i):
         ti.atomic_max(control.abort[0], code)
@@ -45,8 +53,10 @@ def build_integrate(state: State) -> Any:
     @ti.func
     def integrate(chunk, count, pose, dt):
         rebuild, size, abort_above = 0, chunk_size(), step_limit()
+        acceleration, shift_of_force, units = ti.cast(gravity(), real), shift()[FORCE], per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-            kick = mobility(i) * dt / particles.mass[i] * particles.force[i]
+            mass = particles.mass[i]
+            kick = mobility(i) * dt / mass * (particles.force[i] + weight_rest(mass * acceleration, shift_of_force))
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
@@ -59,10 +69,12 @@ def build_integrate(state: State) -> Any:
             particles.position[i] = position
             if ti.static(features.rotation):
                 # A sphere needs no orientation and no gyroscopic term.
-                inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]
+                inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
                 particles.angular_velocity[i] = (
                     particles.angular_velocity[i] + mobility(i) * dt / inertia * particles.torque[i]
                 )
+            if above_limit(i, units) == 1:
+                request_abort(ABORT_FORCE, i)
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
             displacement = position - particles.position_at_rebuild[i]
@@ -81,6 +93,24 @@ def build_integrate(state: State) -> Any:
             control.rebuild_requested[0] = 1
 
     return integrate
+
+
+def _build_above_limit(state: State) -> Any:
+    """Device function (i, per_unit): 1 if the force or torque on a particle is above the range in which sums are exact.
+
+    Reads:  force, torque
+    """
+    particles, rotation = state.particles, state.plan.features.rotation
+
+    @ti.func
+    def above_limit(i, units):
+        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(particles.force[i], ti.f64)).norm_sqr()
+        if ti.static(rotation):
+            torque = ti.cast(units[TORQUE], ti.f64) * ti.cast(particles.torque[i], ti.f64)
+            square = ti.max(square, torque.norm_sqr())
+        return ti.cast(square > LIMIT_SQUARED, ti.i32)
+
+    return above_limit
 
 
 def build_kick(state: State) -> Any:

@@ -109,7 +109,7 @@ class PairBatch:
     """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
 
     longest_list:  largest number of candidate pairs of one particle for which a batch suffices
-    sums:          contact force and torque on each particle of the chunk of a worker
+    sums:          contact force and torque on each particle of the chunk of a worker; None in f64
 
     The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
     """
@@ -137,7 +137,9 @@ class PairBatch:
         self.losses = columns(3 * features.energy_budget)
         size = 6 if features.rotation else 3
         workers = rounded_capacity(backend.worker_count, WORKERS)
-        self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
+        self.sums = None
+        if real != ti.f64:  # otherwise the fields of forces and torques hold the sums
+            self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
 
 
 class Control(Fields):

@@ -7,7 +7,7 @@ branches. A batch holds a few neighbor lists, so that the columns remain in the 
 
 from typing import Any
 
-from granflow.engine.exact_sums import add_energy, build_list_shares, build_to_grid
+from granflow.engine.exact_sums import add_energy, build_list_shares, build_to_grid, holds_sums
 from granflow.engine.force.distant_force import build_distant_force
 from granflow.engine.force.pair_force import (
     build_in_contact,
@@ -145,8 +145,7 @@ def _build_attract(state: State) -> Any:
     Reads:   radius, mass, history, pair_constants, law_parameters
     Writes:  sums of the batch, history, in_contact, losses, boundary_work
     """
-    batch, features, to_grid, shift = (
-        state.batch,
+    features, to_grid, shift = (
         state.plan.features,
         build_to_grid(state.backend.real),
         state.parameter("shift"),
@@ -168,10 +167,10 @@ def _build_attract(state: State) -> Any:
             overlap = ti.min(contact_distance - distance, 0.0)
             attraction = distant_force(chunk, i, list_index, j, overlap, dt)
             force = to_grid(-attraction / distance * branch, shift()[FORCE])
-            added = ti.cast(force, batch.sums.dtype)
-            add_to_sums(worker, i - first, 0, added)
+            added = ti.cast(force, ti.f64)
+            add_to_sums(worker, i, first, 0, added)
             if j >= first and j < last:
-                add_to_sums(worker, j - first, 0, -added)
+                add_to_sums(worker, j, first, 0, -added)
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(has_history):
@@ -181,18 +180,24 @@ def _build_attract(state: State) -> Any:
 
 
 def _build_add_to_sums(state: State) -> Any:
-    """Device function (worker, particle, first, terms): add three terms to the sums of a particle.
+    """Device function (worker, i, first, component, terms): add three terms to the sums of particle i.
 
-    Particles are numbered within the chunk; `first` is the component of the first term.
+    `first`: first particle of the chunk; `component`: of the first term, 0 for a force and 3 for a torque.
 
-    Writes:  sums of the batch
+    Writes:  force, torque; or the sums of the batch, see `holds_sums`
     """
-    batch = state.batch
+    batch, particles, exact = state.batch, state.particles, holds_sums(state)
 
     @ti.func
-    def add_to_sums(worker, local, first: ti.template(), terms):
-        for k in ti.static(range(3)):
-            batch.sums[worker, local][first + k] = batch.sums[worker, local][first + k] + terms[k]
+    def add_to_sums(worker, i, first, component: ti.template(), terms):
+        if ti.static(not exact):
+            for k in ti.static(range(3)):
+                number = ti.static(component + k)
+                batch.sums[worker, i - first][number] = batch.sums[worker, i - first][number] + terms[k]
+        elif ti.static(component == 0):
+            particles.force[i] = particles.force[i] + terms
+        else:
+            particles.torque[i] = particles.torque[i] + terms
 
     return add_to_sums
 
@@ -388,7 +393,7 @@ def _build_scatter(state: State) -> Any:
     Forces are added to both partners, if the second is in this chunk.
 
     Reads:   columns of the batch
-    Writes:  sums of the batch, history, in_contact, losses, boundary_work
+    Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work
     """
     plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
@@ -417,16 +422,15 @@ def _build_scatter(state: State) -> Any:
     def scatter(worker, chunk, end, first, last, pose, dt):
         for entry in range(end):
             i, j = batch.owner[worker, entry], batch.partner[worker, entry]
-            force = ti.cast(vector_of(batch.branch, worker, entry), batch.sums.dtype)
-            add_to_sums(worker, i - first, 0, force)
+            force = ti.cast(vector_of(batch.branch, worker, entry), ti.f64)
+            add_to_sums(worker, i, first, 0, force)
             if ti.static(features.rotation):
-                torque = vector_of(batch.angular_velocity, worker, entry)
-                add_to_sums(worker, i - first, 3, ti.cast(torque, batch.sums.dtype))
+                add_to_sums(worker, i, first, 3, ti.cast(vector_of(batch.angular_velocity, worker, entry), ti.f64))
             if j >= first and j < last:
-                add_to_sums(worker, j - first, 0, -force)
+                add_to_sums(worker, j, first, 0, -force)
                 if ti.static(features.rotation):
                     torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
-                    add_to_sums(worker, j - first, 3, ti.cast(torque_partner, batch.sums.dtype))
+                    add_to_sums(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, j, entry)
