@@ -22,6 +22,9 @@ AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
 
+STANDOFF = 6
+"""Distance of the title of the horizontal axis from its labels [pixels], so that it is above the legend."""
+
 LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
 """Legend below the plot; the script of the page makes room for its rows."""
 
@@ -68,7 +71,12 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
         "hovermode": "x unified",
         "showlegend": has_legend,
         "legend": LEGEND,
-        "xaxis": {**AXIS, "title": {"text": x_title}, "exponentformat": "none", "hoverformat": ".6~g"},
+        "xaxis": {
+            **AXIS,
+            "title": {"text": x_title, "standoff": STANDOFF},
+            "exponentformat": "none",
+            "hoverformat": ".6~g",
+        },
         "yaxis": {**AXIS, "title": {"text": y_title}},
     }
 
