@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         FieldGrid,
         LaceyMetric,
         ReposeMetric,
+        SegregationMetric,
         SlidingMetric,
     )
     from granflow.scene.schema.contact import Contact
@@ -137,6 +138,7 @@ __all__ = [
     "RunSettings",
     "Scene",
     "SceneError",
+    "SegregationMetric",
     "Servo",
     "Simulation",
     "SizeClass",
@@ -221,6 +223,7 @@ _LOCATIONS = {
     "RunSettings": "granflow.scene.schema.run:RunSettings",
     "Scene": "granflow.load:Scene",
     "SceneError": "granflow.errors:SceneError",
+    "SegregationMetric": "granflow.scene.schema.analysis:SegregationMetric",
     "Servo": "granflow.scene.schema.motions:Servo",
     "Simulation": "granflow.simulation:Simulation",
     "SizeClass": "granflow.scene.schema.sizes:SizeClass",

@@ -210,6 +210,9 @@ FIELD_QUANTITIES = _by_name(
         Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
         Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
         Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity(
+            "granular_temperature_of_frames", "", "m2/s2", "the same; in means over time without changes of V in time"
+        ),
         Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
         Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
         Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
@@ -322,6 +325,8 @@ WALL_QUANTITIES = _by_name(
 
 _INSTANT_METRICS = (
     Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
+    Quantity("segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"),
+    Quantity("segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"),
     Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
     Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
     Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),

@@ -312,6 +312,7 @@ class Simulation:
         """Numbers of the run at its end, which is logged."""
         result = self._result()
         self._state.insertion.log_end()
+        self.observers.log_end()
         self._loop.log_end()
         return result
 

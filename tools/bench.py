@@ -27,6 +27,7 @@ LAWS = ("hertz", "zhou", "linear")
 QUICK = {"sizes": [1_000, 10_000, 50_000], "laws": ["hertz"], "threads": [2], "rounds": 1, "scale": 0.5}
 CHILDREN: dict[str, Callable[..., Any]] = {
     "measure": ours.measure,
+    "measure_on_ranks": ours.measure_on_ranks,
     "settle": ours.relax,
     "phases": phases.measure,
     "limits": phases.limits,
@@ -39,7 +40,7 @@ def main() -> None:
         order = json.loads(sys.argv[2])
         answer = CHILDREN[order.pop("job")](**order)
         print()
-        print(json.dumps(answer if isinstance(answer, dict) else {}))
+        print(json.dumps(answer) if isinstance(answer, dict) else "")
         return
     options = arguments()
     if options.page is not None:
@@ -116,6 +117,7 @@ def arguments() -> argparse.Namespace:
     add("--no-hopper", dest="hopper", action="store_false", help="skip the hopper")
     add("--laws", nargs="+", choices=LAWS, help="contact models of granflow (all); peers use Hertz-Mindlin")
     add("--threads", type=int, nargs="+", help="threads or MPI ranks (1 2)")
+    add("--ranks", action="store_true", help="also granflow with one MPI rank in place of each thread")
     add("--rounds", type=int, help="rounds (3)")
     add("--precision", choices=("f64", "f32", "mixed"), default="f64", help="precision of granflow (f64)")
     add(

@@ -34,16 +34,12 @@ def calibrate(options: argparse.Namespace) -> int:
 
 
 def show_calibration(result: "CalibrationResult") -> None:
-    """Print best values and targets, parameters that cannot be identified, and conflicts of targets."""
+    """Print best values and targets, parameters that cannot be identified, noise, and conflicts of targets."""
     rows = [(each.name, f"{each.value:.5g}", f"{each.deviation:.2g}") for each in result.parameters]
     show_table(f"Best values, loss {result.loss:.4g}", ("", "value", "standard deviation"), rows)
-    targets = [
-        (each.name, "curve" if each.measured != each.measured else f"{each.measured:.5g}", f"{each.simulated:.5g}",
-         f"{each.deviation:.2g}")
-        for each in result.targets
-    ]  # fmt: skip
+    targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
     show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
-    for sentence in (*(each.not_identified for each in result.parameters if each.not_identified), *result.conflicts):
+    for sentence in result.remarks:
         say(sentence)
 
 

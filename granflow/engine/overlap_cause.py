@@ -23,6 +23,9 @@ GROWTH = 1.25
 SUDDEN = 2.0
 """Largest force of a weight over its static force: the bed is still settling when the run stops."""
 
+EXPLAINED = 0.5
+"""Smallest share of an overlap that the largest static overlap under the weight and the walls must explain."""
+
 TOLERANCE = 1.01
 """Velocity over the planned one up to which an impact is as planned: it follows from the energy of a coarse step."""
 
@@ -44,11 +47,11 @@ def overlap_cause(pair: ContactPair, plan: Plan) -> str:
     if attraction > COHESIVE_SHARE:
         return _cohesion(touching, plan, attraction)
     if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
-        return f"The contact is almost at rest: {_static(touching, plan, pair)}"
+        return f"The contact is almost at rest: {_at_rest(touching, plan, pair)}"
     reached = impact_overlap(plan.laws, touching, pair.impact_velocity)
     if reached < pair.overlap:
         alone = f"An impact at {pair.impact_velocity:.3g} m/s alone reaches {reached:.3g} of the radius"
-        return f"{alone}, other particles or walls press as well: {_static(touching, plan, pair)}"
+        return f"{alone}, other particles or walls press as well: {_at_rest(touching, plan, pair)}"
     return _impact(touching, plan, pair.impact_velocity, reached)
 
 
@@ -65,8 +68,12 @@ def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float)
     )
 
 
-def _static(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
-    """Cause and remedy of a static load: of a wall that presses on the bed, or of the weight and other particles."""
+def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
+    """Cause and remedy of an overlap that no impact of the two bodies alone explains.
+
+    A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other particles that
+    press in motion, such as those that land on a bed or slide down in a drum.
+    """
     weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
     by_weight = SUDDEN * weight.largest_force(2.0 * touching.radius)
     by_wall = max((each.force for each in plan.forecasts if each.cause == "wall"), default=0.0)
@@ -74,11 +81,23 @@ def _static(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     force = max(observed, by_weight, by_wall)
     expected = static_overlap(plan.laws, touching, force)
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
+    by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
+    if by_load < EXPLAINED * contact.overlap:
+        return _moving_load(remedy, by_load)
     pressing = by_wall > by_weight
     names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
     cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
     less = ", lower the pressure" if pressing else ""
     return f"its cause is {cause}: {remedy}{less}."
+
+
+def _moving_load(remedy: str, by_load: float) -> str:
+    """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the radius."""
+    return (
+        f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is not a "
+        "static load, but other particles or a moving wall that press on this contact, as particles do that land on a "
+        f"bed: lower their velocity, or {remedy}."
+    )
 
 
 def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:

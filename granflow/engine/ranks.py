@@ -7,6 +7,9 @@ import numpy as np
 Arrays = dict[str, np.ndarray]
 """Arrays by name, of the particles of one rank or of all."""
 
+NO_CHANGES = "Changes from Python do not work on MPI ranks: run without a communicator."
+"""Message of a change of particles, walls or forces during a run on ranks."""
+
 
 class Gathering(Protocol):
     """Combines what each rank has. All ranks call each function; the results are complete on the root only."""

@@ -6,6 +6,8 @@ import numpy as np
 
 from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.engine.engine import Engine
+from granflow.engine.ranks import NO_CHANGES, OneProcess
+from granflow.errors import GranflowError
 from granflow.plan.device_arrays import particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.plan.structure import structure_of
@@ -22,12 +24,19 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
     if same_size and structure_of(plan) == structure_of(engine.plan):
         engine.plan = engine.state.plan = engine.stability_monitor.plan = plan
         return engine
+    refuse_changes(engine)
     saved, motions, backend = saved_state(engine), engine.state.wall_motions, engine.state.backend
     engine.free()
     moved = Engine(plan, backend)
     restore_state(moved, _fitted(saved, plan), motions)
     moved.take_over(engine)
     return moved
+
+
+def refuse_changes(engine: Engine) -> None:
+    """Raise GranflowError if the engine is that of an MPI rank."""
+    if not isinstance(engine.state.ranks, OneProcess):
+        raise GranflowError(NO_CHANGES)
 
 
 def _fitted(saved: dict[str, Any], plan: Plan) -> dict[str, Any]:

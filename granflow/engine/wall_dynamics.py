@@ -233,6 +233,17 @@ def controlled_totals(state: State) -> dict[str, float]:
     return found
 
 
+def controlled_forces(state: State) -> np.ndarray:
+    """Force (motions,) [N] of the wall of each motion on the particles, along its direction, in the last step."""
+    return 0.0 - _forces_on_walls(state)
+
+
+def _forces_on_walls(state: State) -> np.ndarray:
+    """Force (motions,) [N] of the particles on the wall of each motion, along its direction."""
+    units = state.wall_dynamics.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    return np.asarray(units * state.plan.sum_units.wall_force)
+
+
 def controlled_work(state: State) -> float:
     """Work [J] of all force-controlled walls on the particles since the start."""
     return 0.0 if state.wall_dynamics is None else float(_synchronized(state)[1].sum())
@@ -244,7 +255,7 @@ def _synchronized(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     velocity_half, work_on_particles, work = (
         field.to_numpy() for field in (fields.velocity, fields.work_on_particles, fields.work)
     )
-    force_on_wall = fields.wall_force.to_numpy()[: state.chunk_count].sum(axis=0) * state.plan.sum_units.wall_force
+    force_on_wall = _forces_on_walls(state)
     velocity = velocity_half.copy()
     for r in np.flatnonzero(fields.was_active.to_numpy()):
         controlled = state.plan.controlled_motions[r]

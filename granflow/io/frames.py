@@ -1,13 +1,12 @@
 """A series of VTU files and the PVD file that lists them with their times."""
 
 import re
-from contextlib import suppress
 from functools import partial
 from io import FileIO
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from granflow.io.atomic_files import replacing, sync
+from granflow.io.atomic_files import replacing, sync_all
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_writer import write_vtu
@@ -79,9 +78,7 @@ class FrameSeries:
     def sync(self) -> None:
         """Wait for all frames and flush them to the disk; skip files that no longer exist. Raises OSError."""
         self._writer.wait()
-        for path in self._unsynced:
-            with suppress(FileNotFoundError):
-                sync(path)
+        sync_all(self._unsynced)
         self._unsynced = []
 
     def truncate(self) -> None:

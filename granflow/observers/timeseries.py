@@ -99,6 +99,13 @@ class TimeSeries(ScheduledObserver):
         """
         return {kind: {name: meter.result() for name, meter in self._named(kind)} for kind in self.meters}
 
+    def remarks(self) -> list[str]:
+        """Return sentences on the last values of the metrics, such as the reason why one is NaN."""
+        found = {
+            name: meter.remark() for name, meter in self.meters["metrics"].items() if isinstance(meter, MetricMeter)
+        }
+        return [f"output.metrics.{name}: {sentence}." for name, sentence in found.items() if sentence]
+
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:
         """Yield the meters of a kind by name; for flow meters the counts, of which parts have names of their own."""
         for name, meter in self.meters[kind].items():

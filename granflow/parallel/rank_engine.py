@@ -12,7 +12,9 @@ from granflow.engine.engine import Engine
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles, joined_particles
 from granflow.engine.limits import ABORT_WALL, Diagnosis
+from granflow.engine.ranks import NO_CHANGES
 from granflow.engine.stepper import Stepper
+from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
 from granflow.parallel.communicator import Communicator
@@ -103,6 +105,10 @@ class RankEngine(Engine):
         parts = None if particles is None else [*map(particles.of, np.array_split(np.arange(particles.count), ranks))]
         with self.communicator.commanding("restore", (dict(saved) | {"energy_budget": {}}, None, motions)):
             super().restore(saved, self.communicator.from_root(parts), motions)
+
+    def begin_change(self) -> None:
+        """Raise GranflowError: the root has a part of the particles only."""
+        raise GranflowError(NO_CHANGES)
 
     def _kick(self, time: float) -> None:
         """As `Engine`, also for the ghosts."""

@@ -52,6 +52,7 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     `plan`: of the scene that continues the run; `before`: scene of the checkpoint, whose densities and materials
     determine the masses. The ranges exclude indices that would be out of range on the device. Raises CheckpointError.
     """
+    _check_servo_samples(Part.of(checkpoint)["stage_progress"]["servos"]["samples"], len(plan.controlled_motions))
     engine = Part.of(checkpoint)["engine"]
     count = engine["particle_count"].integer(0, plan.particle_capacity)
     steps = engine["clock"]["step_count"].integer()
@@ -97,8 +98,8 @@ def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
 
 
 def _check_stage_progress(progress: Part, stages: list[str]) -> None:
-    """Check the present stage and the start and end [s] of each stage up to it, in the order `stages`."""
-    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes"))
+    """Check the present stage, the start and end [s] of each stage up to it, in the order `stages`."""
+    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes", "servos"))
     present = progress["stage"].text(stages)
     times = progress["stage_times"]
     if list(times.mapping()) != stages[: stages.index(present) + 1]:
@@ -112,6 +113,15 @@ def _check_stage_progress(progress: Part, stages: list[str]) -> None:
         progress["target"].number(0.0, LARGEST_REAL)
     for change in progress["changes"].items():
         change.number(0.0)
+    progress["servos"].mapping(("next_sample", "samples"))
+    progress["servos"]["next_sample"].number(0.0)
+
+
+def _check_servo_samples(samples: Part, motion_count: int) -> None:
+    """Check the force samples [N] of the controlled motions."""
+    for sample in samples.items():
+        for force in sample.items(motion_count):
+            force.number(-LARGEST_REAL, LARGEST_REAL)
 
 
 def _check_clock(clock: Part, time: float) -> None:

@@ -1,5 +1,6 @@
 """The observers of a run: one snapshot for all that are due, their readings, and their state."""
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
@@ -110,6 +111,12 @@ class ObserverList(Sequence[Observer]):
     def readings(self) -> Mapping[str, Readings]:
         """Return the numbers of the flow meters, wall forces and metrics."""
         return self._series[0].results_by_kind() if self._series else {}
+
+    def log_end(self) -> None:
+        """Log a warning for each metric whose last value is not defined or misleading."""
+        for series in self._series:
+            for sentence in series.remarks():
+                logging.getLogger("granflow").warning("%s", sentence)
 
     @property
     def rows_intact(self) -> bool:

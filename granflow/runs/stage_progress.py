@@ -7,6 +7,7 @@ from typing import Any
 from granflow.engine.engine import Engine
 from granflow.plan.plan import Plan
 from granflow.plan.walls import wall_change_times, wall_motions
+from granflow.runs.servo_forces import ServoForces
 
 REST_CHECKS = 200
 """Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
@@ -22,6 +23,7 @@ class StageProgress:
     next_check:   time [s] of the next check for rest; infinite without checks
     target:       time [s] to which the current steps lead, None between targets
     arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
+    servos:       force samples of the servos, checked at the end of the stage
     """
 
     stage: str
@@ -30,6 +32,7 @@ class StageProgress:
     next_check: float = inf
     target: float | None = None
     arrived: bool = False
+    servos: ServoForces = field(default_factory=ServoForces)
 
     @classmethod
     def of(cls, plan: Plan) -> "StageProgress":
@@ -78,6 +81,7 @@ class StageProgress:
             "target": self.target,
             "arrived": self.arrived,
             "changes": list(self.changes),
+            "servos": self.servos.state_dict(),
         }
 
     def load_state_dict(self, saved: dict[str, Any], reopened: bool, same_scene: bool) -> None:
@@ -87,6 +91,7 @@ class StageProgress:
         same_scene:  False if the scene changed; the target is then determined again
         """
         self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
+        self.servos.load_state_dict(saved["servos"])
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}
         if reopened:
             self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)

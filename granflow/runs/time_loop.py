@@ -66,10 +66,12 @@ class TimeLoop:
         progress = self.state.progress
         if stage.name not in progress.stage_times:
             self._begin_stage(stage, stage.longest / REST_CHECKS)
+            progress.servos.begin(self.engine, stage.longest)
         stop = progress.stage_times[stage.name][0] + stage.longest
         while progress.target is not None or not self.engine.reached(min(stop, end)):
             next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
-            self._advance_to(min(stop, end, next_check, self._next_event()))
+            self._advance_to(min(stop, end, next_check, progress.servos.next_sample, self._next_event()))
+            progress.servos.sample_if_due(self.engine, stage.longest)
             if self.engine.reached(next_check):
                 progress.next_check += stage.longest / REST_CHECKS
                 if self._at_rest(stage):
@@ -77,6 +79,7 @@ class TimeLoop:
         else:
             if not self.engine.reached(stop):
                 return
+        progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
 
     def _at_rest(self, stage: PlannedStage) -> bool:

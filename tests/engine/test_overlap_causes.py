@@ -5,7 +5,10 @@ import re
 import pytest
 from scene_builders import build_scene, particle_group, plane
 
+from granflow.engine.abort_bodies import Body, ContactPair
+from granflow.engine.overlap_cause import overlap_cause
 from granflow.errors import RunError
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 UNITS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9}
@@ -125,3 +128,24 @@ def test_forecast_of_the_weight_is_close_to_the_largest_overlap_of_a_bed(taichi_
     found = simulation.snapshot().totals["overlap_largest"]
     simulation.free()
     assert 0.8 < expected / found < 2.0
+
+
+@pytest.mark.parametrize(
+    ("weight", "cause"), [(10.0, "its cause is not a static load"), (1e4, "a static load, such as")]
+)
+def test_weight_that_explains_less_than_half_of_the_overlap_is_not_named(weight, cause):
+    """A contact almost at rest in a drum while particles land on the bed: 0.1 m/s of 1.1 m/s at an overlap of 0.11.
+
+    Under 10 Pa, spheres of 4 mm and 1 MPa overlap by 0.01 of the radius, under 10 kPa by more than 0.1.
+    """
+    plan = plan_for(bed(1e6))
+    radius, first = 0.5 * DIAMETER, Body("particle 1", "glass", (0.0, 0.0, 0.1), (0.0, 0.0, 0.01))
+    mass = 2500.0 * 4.0 / 3.0 * 3.14159 * radius**3
+    second = Body("particle 2", "glass", (0.0, 0.0, 0.0), (0.0, 0.0, 0.014))
+    pair = ContactPair(first, second, 0.11, 0.1, 1.1, 1e-5, radius, 0.5 * radius, 0.5 * mass, weight)
+    message = overlap_cause(pair, plan)
+    assert message.startswith("The contact is almost at rest: ") and cause in message, message
+    assert advised_modulus(message) > 1e6
+    if weight == 10.0:
+        explained = float(re.search(r"explain only an overlap of ([\d.]+) of the radius", message).group(1))
+        assert 0.001 < explained < 0.055

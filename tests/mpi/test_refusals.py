@@ -7,6 +7,7 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
+from granflow.parallel.rank_engine import RankEngine
 from granflow.runs.ranks import refuse_on_ranks
 
 
@@ -24,6 +25,11 @@ def test_a_gpu_is_refused():
 def test_forces_from_python_are_refused():
     with pytest.raises(GranflowError, match="Forces from Python do not work on MPI ranks"):
         refuse_on_ranks("cpu", [object()])
+
+
+def test_changes_from_python_are_refused():
+    with pytest.raises(GranflowError, match="Changes from Python do not work on MPI ranks"):
+        RankEngine.begin_change(object())
 
 
 def test_mpi_without_mpi4py_is_refused(tmp_path, capsys, monkeypatch):

@@ -220,6 +220,31 @@ def test_frames_and_their_mean_contain_the_fields(tmp_path):
     np.testing.assert_allclose(density[:, None] * velocity, mean.cell_data["momentum"][0], rtol=1e-4)
 
 
+def test_mean_temperature_of_frames_excludes_the_bounce_of_the_bed():
+    """A gas with the temperature 0.09 m2/s2 that moves up at 1 m/s and down at 2 m/s, with half of the mass each.
+
+    The mean velocity is -0.5 m/s; the mean of both sums adds the square mean of 1.5 m/s to one component. A third frame
+    has twice the mass and half the temperature: the mean is weighted by mass.
+    """
+    random, grid, kernel = np.random.default_rng(4), cube(1), GaussianKernel(0.2, 3.0)
+    particles, _ = cloud(4000)
+    count = len(particles["mass"])
+
+    def sums(speed, temperature, mass):
+        velocity = random.normal(0.0, np.sqrt(temperature), (count, 3)) + [0.0, 0.0, speed]
+        return accumulate(particles | {"velocity": velocity, "mass": mass * np.ones(count)}, None, grid, kernel)
+
+    up, down, heavy = sums(1.0, 0.09, 1.0), sums(-2.0, 0.09, 1.0), sums(0.0, 0.045, 2.0)
+    relative = 5.0 * np.sqrt(2.0 / (3.0 * count))
+    fields = fields_from((up + down) / 2)
+    assert fields["granular_temperature"][0] == pytest.approx(0.09 + 1.5**2 / 3.0, rel=relative)
+    assert fields["granular_temperature_of_frames"][0] == pytest.approx(0.09, rel=relative)
+    assert fields_from((up + down + heavy) / 3)["granular_temperature_of_frames"][0] == pytest.approx(
+        (0.09 + 0.09 + 2.0 * 0.045) / 4.0, rel=relative
+    )
+    assert fields_from(up)["granular_temperature_of_frames"] == pytest.approx(fields_from(up)["granular_temperature"])
+
+
 def test_contacts_are_not_requested_without_contact_fields(tmp_path):
     frames = FieldFrames(tmp_path, "bed", 0.1, cube(2), GaussianKernel(0.1, 3.0), ["density", "coordination_number"])
     assert frames.wants == {"particles"}
@@ -230,6 +255,7 @@ def test_contacts_are_not_requested_without_contact_fields(tmp_path):
 def test_intensive_fields_of_empty_cells_are_nan():
     particles, contacts = cloud(1)
     fields = fields_from(accumulate(particles, contacts, cube(3, 10.0, 11.0), GaussianKernel(0.1, 3.0)))
-    quotients = {"velocity", "granular_temperature", "coordination_number", "fabric"}
+    temperatures = {"granular_temperature", "granular_temperature_of_frames"}
+    quotients = {"velocity", "coordination_number", "fabric"} | temperatures
     for name, values in fields.items():
         assert np.all(np.isnan(values) if name in quotients else values == 0.0), name

@@ -1,5 +1,7 @@
 """Metrics of synthetic beds with known values."""
 
+import json
+
 import numpy as np
 import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of
@@ -9,11 +11,13 @@ from granflow.fields import METRIC_QUANTITIES
 from granflow.observers.coarse_graining.field_grid import CoarseGrid
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.metrics.meter import MetricMeter
-from granflow.observers.metrics.mixing import lacey_index
+from granflow.observers.metrics.mixing import dropped_share, lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observers.metrics.segregation import random_intensity, segregation_intensity
 from granflow.observers.metrics.structure import anisotropy, center_of_mass, coordination, fabric_tensor, sliding_share
 from granflow.plan.build import plan_for
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
+from granflow.simulation import Simulation
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))
 
@@ -57,6 +61,53 @@ def test_lacey_index_ignores_cells_with_few_particles():
     assert lacey_index(points, of_kind, tall, 2) == lacey_index(points[:5000], of_kind[:5000], tall, 2)
     assert np.isnan(lacey_index(points, of_kind, tall, 1000))
     assert np.isnan(lacey_index(points, np.ones(5001, bool), tall, 2)), "undefined for a single kind"
+
+
+def test_lacey_index_reports_the_component_in_cells_with_few_particles():
+    """Eight big particles fill the cell on the right: with at_least 10, the index excludes them."""
+    points = np.vstack([random_points(1000) * [0.5, 1.0, 1.0], np.full((8, 3), [0.75, 0.5, 0.5])])
+    of_kind, grid = np.arange(1008) < 1000, CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
+    assert dropped_share(points, of_kind, grid, 10) == 1.0
+    assert dropped_share(points, of_kind, grid, 8) == 0.0
+    assert np.isnan(lacey_index(points, of_kind, grid, 10))
+    mix = {"kind": "lacey", "cell": 0.5, "region": {"min": [0.0] * 3, "max": [1.0] * 3}, "groups": ["red"]}
+    meter = metric_meters(plan_for(scene_with(mix=mix)))["mix"]
+    for count, expected in ((1008, True), (1000, False)):
+        group = np.where(np.arange(count) < 1000, np.arange(count) % 2 * (count == 1000), 1)
+        arrays = {"position": points[:count], "group": group, "fixed": np.zeros(count, np.uint8)}
+        meter.update(snapshot_of(count, particles=particles_of(count, **arrays)))
+        assert meter.remark().startswith("the Lacey index excludes 100% of the particles of one") == expected
+
+
+def test_segregation_intensity_in_closed_form():
+    """Two cells with the volumes 4 and 2: c = 1/2, c_k = 1/4 and 1; I = (4 (1/4)^2 + 2 (1/2)^2) / (6 / 4) = 1/2.
+
+    Six particles: one of volume 1 of the first kind and one of volume 3 of the other kind, then four of 1/2.
+    """
+    points = np.array([[0.2, 0.5, 0.5]] * 2 + [[0.8, 0.5, 0.5]] * 4)
+    volume, is_first = np.array([1.0, 3.0, 0.5, 0.5, 0.5, 0.5]), np.array([1, 0, 1, 1, 1, 1], bool)
+    grid = CoarseGrid((0.0,) * 3, (1.0,) * 3, (2, 1, 1))
+    assert segregation_intensity(points, volume, is_first, grid) == pytest.approx(0.5)
+    # v_a = (1 + 4/4) / 3 = 2/3 and v_b = 3: I_R = 2 (3/2 + 1/3) / 6.
+    assert random_intensity(points, volume, is_first, grid) == pytest.approx(2.0 * (1.5 + 1.0 / 3.0) / 6.0)
+    assert np.isnan(segregation_intensity(points, volume, np.ones(6, bool), grid))
+    assert np.isnan(random_intensity(points, volume, np.ones(6, bool), grid))
+
+
+def test_segregation_intensity_of_separate_and_of_random_mixtures_of_two_sizes():
+    """Size ratio 2, so volumes 8 and 1; 200 random mixtures scatter about I_R, to first order in 1 / n."""
+    random, count = np.random.default_rng(3), 5000
+    volume = np.where(np.arange(count) % 5 == 0, 8.0, 1.0)
+    separate = np.where(volume[:, None] > 1.0, [0.1, 0.5, 0.5], [0.9, 0.5, 0.5])
+    assert segregation_intensity(separate, volume, volume > 1.0, CUBE) == pytest.approx(1.0)
+    points = [random.uniform(0.0, 1.0, (count, 3)) for _ in range(200)]
+    ratios = [
+        segregation_intensity(each, volume, volume > 1.0, CUBE) / random_intensity(each, volume, volume > 1.0, CUBE)
+        for each in points
+    ]
+    error = np.std(ratios) / np.sqrt(len(ratios))
+    # A cell contains 8 particles of the first kind: the next order is about 1 / 40 particles.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * error + 1.0 / 40.0)
 
 
 def bed(angle, shape, length=0.1, spacing=0.0026):
@@ -103,6 +154,41 @@ def test_slope_without_a_heap_is_nan():
     for slope_of in (slope_of_cone, slope_of_plane):
         assert np.isnan(slope_of(np.zeros((0, 3)), np.zeros(0), 0.01).angle)
         assert np.isnan(slope_of(np.zeros((1, 3)), np.ones(1), 0.01).angle)
+
+
+@pytest.mark.parametrize(("columns", "share"), [(4, 0.05), (10, 0.016), (100, 4e-4)])
+def test_rough_level_surface_is_not_a_slope(columns, share):
+    """Tops of a block with independent heights: the share that is taken for a slope, within four standard deviations.
+
+    Four points: 5 % (F-test). Ten: the gradient is 4 standard errors with the chance (1 + 16 / 7)^-3.5 = 0.016; 100:
+    (1 + 16 / 97)^-48.5 = 6e-4, if the standard errors were the same in all directions.
+    """
+    random, found = np.random.default_rng(columns), []
+    for _ in range(1000):
+        x = np.arange(columns) // 2
+        points = np.column_stack([x, np.arange(columns) % 2, 10.0 + random.normal(0.0, 0.3, columns)])
+        found.append(slope_of_plane(points, np.full(columns, 0.5), 0.5))
+    accepted = sum(not np.isnan(slope.angle) for slope in found)
+    assert accepted <= 1000 * share + 4.0 * np.sqrt(1000 * share)
+    assert sum("rough level surfaces reach as much by chance" in slope.reason for slope in found) == 1000 - accepted
+
+
+@pytest.mark.parametrize(("added", "limit"), [(0, 0.0025), (3, 0.2)])
+def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, limit):
+    """Limits of 1 - R^2 for heights x / 2 and scatter, at the corners of a square and up to three points between.
+
+    Four points have the chance sqrt(1 - R^2) < 0.05. With seven, the error sqrt(S / 4 / 4) is 1/4 of 1/2 for the
+    residual S = 1/4, that is 1 - R^2 = S / (1 + S) = 0.2; the chance of it is 0.2^2 = 0.04.
+    """
+    x = np.array([-1.0, 1.0, -1.0, 1.0, 0.0, 0.0, 0.0])[: 4 + added]
+    y = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 0.0])[: 4 + added]
+    scatter = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, -2.0]) if added else x * y  # without a gradient, mean 0
+    scatter /= np.linalg.norm(scatter)
+    for share, is_slope in ((0.98 * limit, True), (1.02 * limit, False)):
+        height = 0.5 * x + scatter * np.sqrt(share / (1.0 - share))  # the square sum of x / 2 is 1
+        slope = slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 0.5)
+        assert bool(slope.reason) != is_slope
+        assert slope.angle == pytest.approx(np.arctan(0.5)) if is_slope else np.isnan(slope.angle)
 
 
 def contacts_along(directions):
@@ -171,6 +257,7 @@ def test_scene_metrics_are_reported_by_name():
         heap={"kind": "repose", "surface": "plane"}, contacts={"kind": "fabric"}, particles={"kind": "coordination"},
         half={"kind": "content", "region": {"min": [0.0] * 3, "max": [0.5, 1.0, 1.0]}},
         center={"kind": "center_of_mass"}, red={"kind": "center_of_mass", "groups": ["red"]},
+        segregation={"kind": "segregation", "cell": 0.2, "region": region, "groups": ["red"]},
         sliding={"kind": "sliding"}, tracer={"kind": "probe", "id": 1},
     )  # fmt: skip
     kind = np.arange(5000) % 2
@@ -211,6 +298,9 @@ def test_upward_direction_is_opposite_to_gravity():
     meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
+    assert meter.remark() == ""
+    meter.update(snapshot_of(1.0, particles=particles | {"coordination_number": np.zeros(count)}))
+    assert meter.remark() == ("the angle of repose is NaN: there are no particles with enough contacts in the region")
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():
@@ -237,3 +327,16 @@ def test_probe_follows_one_particle_by_its_id():
         assert list(meter.readings().values()) == pytest.approx(expected)
     meter.update(snapshot_of(particles=particles_of(10, position=numbers, id=np.arange(10) + 5, **moving)))
     assert np.isnan(list(meter.readings().values())).all()
+
+
+def test_undefined_angle_of_repose_is_reported_at_the_end_of_the_run(tmp_path, taichi_f64):
+    """A single particle is not a heap: null in result.json, with the reason in its warnings."""
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.1]])}, gravity=[0.0, 0.0, -9.81], run={"duration": 1e-3},
+        output={"interval": 1e-3, "metrics": {"heap": {"kind": "repose", "surface": "cone"}}},
+    )  # fmt: skip
+    Simulation(scene, out=tmp_path / "run").run()
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["metrics"]["heap"]["angle_of_repose"] is None
+    reason = "there are no particles with enough contacts in the region"
+    assert result["warnings"].count(f"output.metrics.heap: the angle of repose is NaN: {reason}.") == 1

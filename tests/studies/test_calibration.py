@@ -3,20 +3,30 @@
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from studies.sweep_files import SCENE
 
 from granflow.errors import FileError, GranflowError
-from granflow.studies.calibration.response import fit_response, identification
+from granflow.studies.calibration.response import Response, fit_response, identification
+from granflow.studies.calibration.results import _best_target, result_of
 from granflow.studies.calibration.run import read_calibration, run_calibration
 from granflow.studies.calibration.schema import Parameter, Target
 from granflow.studies.calibration.search import Search, deviation_in_units, from_unit, settings_of, to_unit
-from granflow.studies.calibration.targets import deviation, partial_loss, read_target, residuals
-from granflow.studies.calibration.trials import TrialRunner
+from granflow.studies.calibration.targets import (
+    deviation,
+    given_text,
+    partial_loss,
+    read_target,
+    residuals,
+    standard_errors,
+)
+from granflow.studies.calibration.trials import TrialRunner, _missing_reason
 from granflow.studies.run_processes import process
 from granflow.studies.run_processes.checked import RunSettings
+from granflow.studies.run_processes.quantities import error_name
 
 CALIBRATION = """\
 scenes: {pair: {scene: spheres.yaml}}
@@ -207,6 +217,102 @@ def test_response_recovers_the_optimum_and_the_uncertainty_of_linear_residuals()
     assert optimum == pytest.approx([0.3, 0.6], abs=1e-6)
     known = identification(response, optimum)
     assert known.deviation == pytest.approx([1 / np.sqrt(412.0), 1 / np.sqrt(37.0)], rel=1e-6)
+
+
+def noisy_response(trials, error):
+    """Fit of a residual 6 (u - 0.5) that chance makes exact, with standard errors, in equidistant trials."""
+    u = np.linspace(0.0, 1.0, trials)[:, None]
+    found = 6.0 * (u - 0.5)
+    return fit_response(u, found, trials // 2, np.full_like(found, error))
+
+
+def test_standard_errors_of_the_runs_limit_what_is_identified():
+    """Errors of 4 tolerances, as of small heaps: with four trials, the slope 6 has the error 4 / sqrt(5 / 16) = 7.2."""
+    response = noisy_response(5, 4.0)
+    assert response.gradient(np.array([0.5]))[1] == pytest.approx(4.0 / np.sqrt(5.0 / 16.0))
+    known = identification(response, np.array([0.5]))
+    assert not known.is_identified(0) and known.deviation == pytest.approx([np.sqrt(1.0 / 12.0)])
+    assert identification(noisy_response(5, 0.0), np.array([0.5])).is_identified(0)
+
+
+def test_few_trials_need_a_more_significant_slope():
+    """Student's t for 99.865 % is 19.21 with 2 degrees of freedom: a slope of 6 needs an error below 6/19.21 = 0.312.
+
+    This is a scatter of 0.312 sqrt(5 / 16) = 0.175 tolerances in the four nearest of five trials.
+    """
+    response = noisy_response(5, 0.17)
+    assert (response.freedom, response.least_ratio) == (2, pytest.approx(19.207, abs=0.002))
+    assert identification(response, np.array([0.5])).importance[0] == 1.0
+    assert identification(noisy_response(5, 0.18), np.array([0.5])).importance[0] == 0.0
+    many = Response(1, np.zeros((2, 1)), np.eye(2), np.ones(1), 10**6)
+    assert many.least_ratio == pytest.approx(3.0, abs=1e-3)
+
+
+def test_parameter_is_not_identified_by_fewer_trials_than_a_fit_needs(tmp_path):
+    """A line with one parameter needs 1.5 * 2 + 1 = 4 trials."""
+    text = CALIBRATION.replace("  restitution: {keys: [pairs.steel-steel.restitution], from: 0.3, to: 0.9}\n", "")
+    found = runner(tmp_path, text)
+    for number in range(4):
+        trial = found.search.next_trial()
+        trial.set_user_attr("residuals", {"energy": [trial.params["friction"]]})
+        trial.set_user_attr("errors", {"energy": [0.0]})
+        trial.set_user_attr("simulated", {"energy": 1e-3 + 1e-5 * trial.params["friction"]})
+        found.search.study.tell(trial, trial.params["friction"] ** 2)
+        (best,) = result_of(found.search, found.targets).parameters
+        reason = f"{number + 1} completed trials are too few, at least 4 are needed."
+        expected = f"friction cannot be identified from the targets: {reason}" if number < 3 else ""
+        assert best.not_identified.startswith(expected) and ("too few" in best.not_identified) == (number < 3)
+
+
+ANGLE = {"angle_of_repose": np.radians(26.0), "angle_of_repose_error": 0.2}
+
+
+def angle_run(folder, metrics=ANGLE, warnings=()):
+    """The result of a run with a metric `left`."""
+    result = {"metrics": {"left": metrics}, "warnings": warnings}
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+def angle_target(folder):
+    given = {"scene": "a", "quantity": "angle_of_repose.left", "tolerance": "3 deg", "value": "27 deg"}
+    return read_target(Target.model_validate(given), folder, "x:1:1", "27 deg")
+
+
+def test_standard_error_and_unit_of_a_target(tmp_path):
+    """0.2 rad are 3.82 tolerances of 3 deg; the value is shown in degrees, as it is given."""
+    angle_run(tmp_path)
+    measured = angle_target(tmp_path)
+    assert standard_errors(measured, tmp_path) == pytest.approx([0.2 / np.radians(3.0)])
+    assert given_text(measured, np.radians(27.0), "angle_of_repose.left") == "27 deg"
+    plain = read_target(Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, "", 0.5)
+    assert given_text(plain, 0.5, "angle_of_repose.left") == "0.5 rad"
+    assert error_name("angle_of_repose_mean.left") == "angle_of_repose_error_mean.left"
+    assert standard_errors(target(tmp_path, value=4.0), tmp_path) == [0.0]
+
+
+def test_best_target_reports_a_standard_error_above_the_tolerance(tmp_path):
+    angle_run(tmp_path)
+    measured = angle_target(tmp_path)
+    attributes = {
+        "residuals": {"left": residuals(measured, tmp_path).tolist()},
+        "errors": {"left": standard_errors(measured, tmp_path).tolist()},
+        "simulated": {"left": ANGLE["angle_of_repose"]},
+    }
+    best = _best_target("left", measured, SimpleNamespace(user_attrs=attributes))
+    assert best.shown == ("27 deg", "26 deg \N{PLUS-MINUS SIGN} 11")
+    assert "the standard error of angle_of_repose.left in the best trial is 3.8 times the tolerance" in best.noise
+
+
+def test_missing_value_of_a_trial_is_explained(tmp_path):
+    """A value that is NaN, with the reason that the run gives; a quantity that the run does not have."""
+    reason = "output.metrics.left: the angle of repose is NaN: the surface has 3 points, but a fit needs at least 4."
+    angle_run(tmp_path, dict.fromkeys(ANGLE), [reason, "output.metrics.right: another one"])
+    sentence = _missing_reason("left", angle_target(tmp_path), tmp_path)
+    assert sentence == f"{tmp_path}: angle_of_repose.left is NaN (target left). {reason}"
+    angle_run(tmp_path, {})
+    assert "has no angle_of_repose.left, which the target left requires" in _missing_reason(
+        "left", angle_target(tmp_path), tmp_path
+    )
 
 
 def test_parameter_without_influence_is_not_identified():

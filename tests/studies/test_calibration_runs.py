@@ -129,6 +129,7 @@ def test_killed_calibration_continues(tmp_path):
 def test_restitution_cannot_be_identified_from_an_angle_of_repose(tmp_path):
     pytest.importorskip("optuna")
     reduced = "\n".join(f"      {key}: {value}" for key, value in (each.split("=", 1) for each in REDUCED_HEAP))
+    reduced = reduced.replace("min: [-40 mm", "min: [-60 mm")  # six points on the shorter slope are too few for a fit
     (tmp_path / "calibration.yaml").write_text(ANGLE.format(scene=REPOSE, reduced=reduced))
     done = granflow(tmp_path, "calibrate", "calibration.yaml", "--jobs", "2")
     assert "restitution cannot be identified from the targets" in done.stdout

@@ -254,6 +254,23 @@ def test_table_has_mean_and_standard_error_over_seeds(tmp_path):
     assert len((tmp_path / "runs.csv").read_text().splitlines()) == 4
 
 
+@pytest.mark.parametrize(("values", "errors", "expected"), [
+    ([0.4], [0.1], 0.1), ([0.4, 0.4], [0.3, 0.4], 0.25), ([0.2, 0.6], [0.0, 0.1], 0.2), ([0.4], [], None)
+])  # fmt: skip
+def test_table_has_the_standard_errors_of_the_runs(tmp_path, values, errors, expected):
+    """One run: its own error. Several: sqrt(sum e^2) / n, or the scatter between seeds if it is larger."""
+    runs = [run(tmp_path, name) for name in "ab"[: len(values)]]
+    for k, each in enumerate(runs):
+        metric = {"angle_of_repose": values[k]} | ({"angle_of_repose_error": errors[k]} if errors else {})
+        content = {"expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": metric}}
+        (each.directory / "result.json").write_text(json.dumps(content))
+    (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
+    outcomes = {each.request.directory: final_outcome(each.directory) for each in runs}
+    table = table_of(("a",), ("angle_of_repose.left",), [(point, runs)], outcomes)
+    found = table.columns().get("standard_error.angle_of_repose.left [rad]")
+    assert found == (None if expected is None else [pytest.approx(expected)])
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -96,6 +96,7 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     while (trial := search.next_trial()) is not None:
         residual = 50.0 * (trial.params["restitution"] - 0.62) + random.normal(0.0, 0.1)
         trial.set_user_attr("residuals", {"energy": [residual]})
+        trial.set_user_attr("errors", {"energy": [0.0]})
         trial.set_user_attr("simulated", {"energy": 1e-3 + 1e-5 * residual})
         search.study.tell(trial, residual**2)
     result = result_of(search, found.targets)

@@ -22,6 +22,8 @@ FLOWING_SKIN = 0.5e-3
 The skins of LIGGGHTS and LAMMPS were the fastest of 0.1 to 0.7 mm in one scan of the bed of 50 000 on a machine under
 load; those of granflow, YADE and the hopper have not been scanned on an idle machine. `--skin` sets other values.
 """
+GRANFLOW, ON_RANKS = "granflow", "granflow --mpi"
+"""Names of this code with threads and with MPI ranks."""
 SLOW = {"yade"}
 LARGEST_COUNT = {"yade": 200_000}
 """Largest particle count of a code: above it, the setup takes minutes."""
@@ -57,7 +59,8 @@ def job_for(
     code: str, law: str, case: Case, threads: int, precision: str, skins: dict[str, float], scale: float
 ) -> Job:  # fmt: skip
     """Job with the skin and the number of steps of the code."""
-    skin = skins.get(code, SKINS[case.kind].get(code, FLOWING_SKIN))
+    named = GRANFLOW if code == ON_RANKS else code
+    skin = skins.get(named, SKINS[case.kind].get(named, FLOWING_SKIN))
     return Job(code, law, case, threads, precision, skin, steps_for(case, code in SLOW, scale))
 
 
@@ -75,7 +78,7 @@ def missing(name: str, threads: list[int]) -> str | None:
 
 def measure(job: Job, folder: Path) -> dict[str, Any]:
     """Runs one job in `folder`, which contains the files of the case; raises Failed with a message."""
-    found = granflow(job, folder) if job.code == "granflow" else PEERS[job.code].measure(job, folder)
+    found = granflow(job, folder) if job.code in (GRANFLOW, ON_RANKS) else PEERS[job.code].measure(job, folder)
     point = {"code": job.code, "law": job.law, "case": job.case.name, "count": job.case.count}
     point |= {"threads": job.threads, "precision": job.precision, "skin": job.skin, **asdict(job.steps)}
     return point | found
@@ -94,9 +97,11 @@ def prepare(case: Case, folder: Path, peers: list[str]) -> Path:
     return case_folder
 
 
-def child(order: dict[str, Any], folder: Path) -> ProcessResult:
-    """Runs a job in a new granflow process; see `bench.py --child`."""
-    return run([sys.executable, str(BENCH), "--child", json.dumps(order)], folder)
+def child(order: dict[str, Any], folder: Path, ranks: int = 0) -> ProcessResult:
+    """Runs a job in a new granflow process, or on MPI ranks; see `bench.py --child`."""
+    wheel = Path(sys.executable).with_name("mpirun")
+    launcher = [str(wheel) if wheel.exists() else "mpirun", "-n", str(ranks)] if ranks else []
+    return run([*launcher, sys.executable, str(BENCH), "--child", json.dumps(order)], folder, MPI if ranks else None)
 
 
 def last_json(done: ProcessResult, case_name: str) -> dict[str, Any]:
@@ -115,17 +120,19 @@ def last_error_line(output: str) -> str:
 
 
 def granflow(job: Job, folder: Path) -> dict[str, Any]:
-    """Measures granflow in a separate Python process."""
+    """Measures granflow in a separate Python process, or on MPI ranks."""
+    ranks = job.threads if job.code == ON_RANKS else 0
     order: dict[str, Any] = {
-        "job": "measure",
+        "job": "measure_on_ranks" if ranks else "measure",
         "path": str(folder / "case.npz"),
         "law": job.law,
         "precision": job.precision,
     }
     order |= {"threads": job.threads, "skin": f"{job.skin:g} m", "warm": job.steps.warm, "window": job.steps.window}
-    done = child(order, folder)
-    found = last_json(done, "granflow")
-    return found | {"start": found.pop("first_step") - done.began}
+    done = child(order, folder, ranks)
+    found = last_json(done, job.code)
+    memory = {"memory": done.memory} if ranks else {}
+    return found | memory | {"start": found.pop("first_step") - done.began}
 
 
 def yade(job: Job, folder: Path) -> dict[str, Any]:

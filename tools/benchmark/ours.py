@@ -80,17 +80,24 @@ def region(case: Case) -> str:
     return f"{{min: [-{half}, -{half}, {cases.CONE_HEIGHT}], max: [{half}, {half}, {cases.TUBE_TOP}]}}"
 
 
-def simulation_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
-    """Simulation with the particles of the case, before the first step."""
-    from granflow import ParticleData, Simulation, load_scene
+def scene_for(case: Case, law: str, precision: str, skin: str) -> Any:
+    """The scene of the case."""
+    from granflow import load_scene
 
     with tempfile.TemporaryDirectory() as folder:
         scene_file = Path(folder) / "case.yaml"
         scene_file.write_text(scene_text(case, law, precision, skin))
-        scene = load_scene(scene_file)
+        return load_scene(scene_file)
+
+
+def simulation_for(case: Case, law: str, precision: str, threads: int, skin: str, communicator: Any = None) -> Any:
+    """Simulation with the particles of the case, before the first step."""
+    from granflow import ParticleData, Simulation
+
     zeros, zero_indices = np.zeros((case.count, 3)), np.zeros(case.count, np.int32)
     particles = ParticleData(case.position, zeros, zeros, 0.5 * case.diameter, zero_indices, zero_indices)
-    return Simulation(scene, threads=threads, particles=particles)
+    scene = scene_for(case, law, precision, skin)
+    return Simulation(scene, threads=threads, particles=particles, communicator=communicator)
 
 
 def engine_for(case: Case, law: str, precision: str, threads: int, skin: str) -> Any:
@@ -105,7 +112,30 @@ def measure(
 ) -> dict[str, Any]:  # fmt: skip
     """Rate of one time window [particle-steps/s], memory, contacts, rebuilds; first_step in s since 1970."""
     case = Case.load(Path(path))
-    simulation = simulation_for(case, law, precision, threads, skin)
+    return measured(simulation_for(case, law, precision, threads, skin), case, warm, window)
+
+
+def measure_on_ranks(
+    path: str, law: str, precision: str, threads: int, skin: str, warm: int, window: int
+) -> dict[str, Any] | None:  # fmt: skip
+    """As `measure`, on the ranks of mpirun with one thread each; None on all but the root. `threads` has no effect."""
+    from granflow.engine.backend import start
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.rank_engine import RankEngine
+    from granflow.parallel.serve import controlling, serve
+    from granflow.plan.build import plan_for
+
+    case, communicator = Case.load(Path(path)), Communicator()
+    if communicator.is_root:
+        with controlling(communicator):
+            return measured(simulation_for(case, law, precision, 1, skin, communicator), case, warm, window)
+    scene = scene_for(case, law, precision, skin)
+    serve(communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator))
+    return None
+
+
+def measured(simulation: Any, case: Case, warm: int, window: int) -> dict[str, Any]:
+    """The result of `measure` for a simulation before its first step."""
     simulation.step(1)
     first_step = time.time()
     simulation.step(warm)
@@ -125,12 +155,14 @@ def measure(
         "contacts": particle_contacts(simulation) / case.count,
         "rebuilds": 1000.0 * rebuilds / window,
         "mass_flow": (above - mass_above(simulation)) / span if case.kind == "hopper" else None,
+        "exchange": timing.exchange / timing.advance,
     }
 
 
 def mass_above(simulation: Any) -> float:
     """Mass whose centers are above the orifice [kg]."""
-    return float(simulation.particles.mass[simulation.particles.position[:, 2] > 0.0].sum())
+    particles = simulation.snapshot().particles
+    return float(particles["mass"][particles["position"][:, 2] > 0.0].sum())
 
 
 def particle_contacts(simulation: Any) -> int:

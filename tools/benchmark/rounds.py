@@ -62,18 +62,22 @@ def jobs(options: argparse.Namespace, found: list[Case], peers: list[str]) -> li
     return [
         [
             job_for(code, law, case, threads, options.precision, options.skin, options.scale)
-            for code, law in codes_and_laws(options, case, peers)
+            for code, law in codes_and_laws(options, case, peers, threads)
         ]
         for case in found
         for threads in options.threads
     ]
 
 
-def codes_and_laws(options: argparse.Namespace, case: Case, peers: list[str]) -> Iterator[tuple[str, str]]:
+def codes_and_laws(
+    options: argparse.Namespace, case: Case, peers: list[str], threads: int
+) -> Iterator[tuple[str, str]]:
     """Codes and contact models for one case; the other codes use Hertz-Mindlin."""
     hertz_only = case.kind == "hopper" or case.count >= HERTZ_ONLY_COUNT
     laws = [law for law in options.laws if law == "hertz" or not hertz_only] or options.laws[:1]
     yield from (("granflow", law) for law in laws)
+    if options.ranks and threads > 1:
+        yield codes.ON_RANKS, laws[0]
     yield from ((peer, "hertz") for peer in peers if case.count <= LARGEST_COUNT.get(peer, case.count))
 
 
@@ -89,9 +93,10 @@ def skipped_cases(found: list[Case], peers: list[str]) -> list[str]:
 
 def seconds_for(job: Job) -> float:
     """Estimated duration of a job [s]."""
-    fixed, each = START[job.code]
+    code = job.code.split()[0]
+    fixed, each = START[code]
     work = (job.steps.warm + job.steps.window) * job.case.count
-    return fixed + each * job.case.count + work / (RATE[job.code] * (1.0 + 0.8 * (job.threads - 1)))
+    return fixed + each * job.case.count + work / (RATE[code] * (1.0 + 0.8 * (job.threads - 1)))
 
 
 def measure_all(

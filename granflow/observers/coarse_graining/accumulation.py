@@ -7,6 +7,8 @@ the contact point on a wall; W: kernel; L: its mean along the branch vector.
     density rho = sum m W         momentum rho V = sum m v W         contact stress = sum f b L
     kinetic stress = -sum m (v - V)(v - V) W = rho V V - sum m v v W
 
+    thermal = rho T of one snapshot, whose mean over time excludes the motion of V in time
+
 Stresses are positive in tension. All formulas: docs/pages/guides/coarse_graining.md.
 """
 
@@ -57,6 +59,7 @@ def accumulate(
     [m], `force` [N] on particle i, each (k, 3). Sums are in double precision.
     """
     found = _accumulate_particles(particles, grid, kernel)
+    found["thermal"] = -_trace(_kinetic_stress(found))[:, None] / 3.0
     if contacts is not None:
         found |= _accumulate_contacts(contacts, grid, kernel)
     return AccumulatedFields(found)
@@ -68,20 +71,20 @@ def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
     Scalars (cells,), vectors (cells, 3), tensors (cells, 9) in the order xx, xy, xz, yx, ...; stresses [Pa]. The
     granular temperature is a third of the mean square of v - V [m2/s2]; it is 0 where rounding makes it negative.
 
-    For time-averaged sums, fluctuations are those about the mean velocity in space and time (Goldhirsch 2010).
+    For time-averaged sums, fluctuations are those about the mean velocity in space and time (Goldhirsch 2010);
+    `granular_temperature_of_frames` is the mean of the temperatures of the snapshots, weighted by their density.
     `contact_stress`, `pressure` and `fabric` are absent without contacts.
     """
     s = accumulated.arrays
     density = s["mass"]
-    velocity = _ratio(s["momentum"], density)
-    mean_flux = np.where(density > 0.0, _dyads(velocity, s["momentum"]), 0.0)
-    kinetic_stress = mean_flux - s["momentum_flux"]
+    velocity, kinetic_stress = _ratio(s["momentum"], density), _kinetic_stress(s)
     found = {
         "density": density[:, 0],
         "solid_fraction": s["volume"][:, 0],
         "momentum": s["momentum"],
         "velocity": velocity,
         "granular_temperature": _ratio(np.maximum(-_trace(kinetic_stress)[:, None], 0.0) / 3.0, density)[:, 0],
+        "granular_temperature_of_frames": _ratio(np.maximum(s["thermal"], 0.0), density)[:, 0],
         "kinetic_stress": kinetic_stress,
         "coordination_number": _ratio(s["touching"], s["number"])[:, 0],
     }
@@ -90,6 +93,13 @@ def fields_from(accumulated: AccumulatedFields) -> dict[str, np.ndarray]:
         found["pressure"] = -_trace(kinetic_stress + s["contact_stress"]) / 3.0
         found["fabric"] = _ratio(s["fabric"], s["contact_number"])
     return found
+
+
+def _kinetic_stress(sums: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the kinetic stress (cells, 9) [Pa]; 0 in cells without particles."""
+    velocity = _ratio(sums["momentum"], sums["mass"])
+    mean_flux = np.where(sums["mass"] > 0.0, _dyads(velocity, sums["momentum"]), 0.0)
+    return np.asarray(mean_flux - sums["momentum_flux"])
 
 
 def _accumulate_particles(

@@ -1,14 +1,15 @@
 """Builds the meters that `output.metrics` of a scene specifies."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from granflow.observers.base import CONTACTS, PARTICLES
 from granflow.observers.coarse_graining.field_grid import CoarseGrid, grid_for
 from granflow.observers.metrics.meter import MetricMeter
-from granflow.observers.metrics.mixing import lacey_index
+from granflow.observers.metrics.mixing import dropped_share, lacey_index
 from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
+from granflow.observers.metrics.segregation import random_intensity, segregation_intensity
 from granflow.observers.metrics.structure import (
     MIN_CONTACTS,
     anisotropy,
@@ -28,13 +29,18 @@ from granflow.scene.schema.analysis import (
     LaceyMetric,
     ProbeMetric,
     ReposeMetric,
+    SegregationMetric,
     SlidingMetric,
+    TwoComponentGrid,
 )
 from granflow.scene.schema.shapes import Box
 from granflow.snapshot import Snapshot
 
 COLUMN_WIDTH = 2.0
 """Edge of the columns in which the surface of a heap is determined, in largest diameters."""
+
+DROPPED_SHARE = 0.1
+"""Share of the particles of a component outside the cells of a Lacey index above which a remark reports it."""
 
 NEEDS_PARTICLES, NEEDS_CONTACTS = frozenset({PARTICLES}), frozenset({CONTACTS})
 
@@ -48,6 +54,8 @@ def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
     """Return the meter of one metric; the class of `spec` determines the kind."""
     if isinstance(spec, LaceyMetric):
         return _lacey_metric_meter(plan, spec)
+    if isinstance(spec, SegregationMetric):
+        return _segregation_meter(plan, spec)
     if isinstance(spec, ReposeMetric):
         return _repose_meter(plan, spec)
     if isinstance(spec, FabricMetric):
@@ -66,20 +74,59 @@ def _metric_meter(plan: Plan, spec: AnyMetric) -> MetricMeter:
 
 
 def _lacey_metric_meter(plan: Plan, spec: LaceyMetric) -> MetricMeter:
-    """Return a meter of the Lacey index. Kind A: given groups or materials, or diameters below `smaller_than` [m]."""
+    """Return a meter of the Lacey index, with a remark if it excludes more than DROPPED_SHARE of a kind."""
     grid: CoarseGrid = grid_for(plan.domain, spec)
+    is_kind_a = _first_component(plan, spec)
+    dropped = 0.0
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        nonlocal dropped
+        particles = mobile_particles(snapshot.particles)
+        arguments = particles["position"], is_kind_a(particles), grid, spec.at_least
+        dropped = dropped_share(*arguments)
+        return {"lacey_index": lacey_index(*arguments)}
+
+    def remark() -> str:
+        if dropped <= DROPPED_SHARE:
+            return ""
+        return (
+            f"the Lacey index excludes {dropped:.0%} of the particles of one component, because their cells contain "
+            f"fewer than {spec.at_least} particles (at_least): increase cell, or use kind: segregation, which weights "
+            "particles by volume and excludes no cell"
+        )
+
+    return MetricMeter(measure, NEEDS_PARTICLES, remark)
+
+
+def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
+    """Return a meter of the intensity of segregation."""
+    grid: CoarseGrid = grid_for(plan.domain, spec)
+    is_kind_a = _first_component(plan, spec)
+
+    def measure(snapshot: Snapshot) -> dict[str, float]:
+        particles = mobile_particles(snapshot.particles)
+        volume = 4.0 / 3.0 * np.pi * particles["radius"].astype(float) ** 3
+        arguments = particles["position"], volume, is_kind_a(particles), grid
+        return {
+            "segregation_intensity": segregation_intensity(*arguments),
+            "segregation_intensity_random": random_intensity(*arguments),
+        }
+
+    return MetricMeter(measure, NEEDS_PARTICLES)
+
+
+def _first_component(plan: Plan, spec: TwoComponentGrid) -> Callable[[Mapping[str, np.ndarray]], np.ndarray]:
+    """Return the function that selects particles (n,): given groups or materials, or diameters below `smaller_than`."""
     names = [group.name for group in plan.groups]
     groups = [names.index(name) for name in spec.groups or ()]
     materials = [list(plan.solids).index(name) for name in spec.materials or ()]
 
-    def measure(snapshot: Snapshot) -> dict[str, float]:
-        particles = mobile_particles(snapshot.particles)
-        is_kind_a = np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
+    def is_first(particles: Mapping[str, np.ndarray]) -> np.ndarray:
         if spec.smaller_than is not None:
-            is_kind_a = 2.0 * particles["radius"] < spec.smaller_than
-        return {"lacey_index": lacey_index(particles["position"], is_kind_a, grid, spec.at_least)}
+            return np.asarray(2.0 * particles["radius"] < spec.smaller_than)
+        return np.isin(particles["group"], groups) | np.isin(particles["material"], materials)
 
-    return MetricMeter(measure, NEEDS_PARTICLES)
+    return is_first
 
 
 def _center_of_mass_meter(plan: Plan, spec: CenterOfMassMetric) -> MetricMeter:
@@ -104,8 +151,10 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
     frame = frame_along(upwards)
     edge = COLUMN_WIDTH * 2.0 * plan.radius_max
     axis = None if spec.axis is None else (frame @ np.array(spec.axis))[:2]
+    reason = ""
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
+        nonlocal reason
         particles = mobile_particles(snapshot.particles)
         contacts = particles["coordination_number"] + wall_contacts(particles)
         heap = selected(particles, (contacts >= MIN_CONTACTS) & _inside(particles["position"], spec.region))
@@ -114,9 +163,10 @@ def _repose_meter(plan: Plan, spec: ReposeMetric) -> MetricMeter:
             slope = slope_of_cone(points, heap["radius"], edge, axis)
         else:
             slope = slope_of_plane(points, heap["radius"], edge)
+        reason = slope.reason
         return {"angle_of_repose": slope.angle, "angle_of_repose_error": slope.error}
 
-    return MetricMeter(measure, NEEDS_PARTICLES)
+    return MetricMeter(measure, NEEDS_PARTICLES, lambda: reason and f"the angle of repose is NaN: {reason}")
 
 
 def _fabric(snapshot: Snapshot, region: Box | None) -> Mapping[str, float]:

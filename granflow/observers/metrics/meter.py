@@ -10,11 +10,17 @@ class MetricMeter:
     """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES.
 
     The mean restarts with each stage. Values that are NaN (not defined for the present state) do not enter the mean.
+    `remark`: returns a sentence on the last evaluation, for a warning at the end of the run, or an empty text.
     """
 
-    def __init__(self, measure: Callable[[Snapshot], Mapping[str, float]], wants: frozenset[str]) -> None:
+    def __init__(
+        self,
+        measure: Callable[[Snapshot], Mapping[str, float]],
+        wants: frozenset[str],
+        remark: Callable[[], str] = lambda: "",
+    ) -> None:
         self.wants = wants
-        self._measure = measure
+        self._measure, self.remark = measure, remark
         self._stage = ""
         self._last: dict[str, float] = {}
         self._sums: dict[str, float] = {}

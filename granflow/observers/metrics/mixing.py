@@ -1,4 +1,4 @@
-"""Mixing index of two kinds of particles."""
+"""Lacey's mixing index of two kinds of particles, by number."""
 
 import numpy as np
 
@@ -28,3 +28,14 @@ def lacey_index(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, a
         return float("nan")
     found = (number * (kind / number - share) ** 2).sum() / total
     return float((segregated - found) / (segregated - mixed))
+
+
+def dropped_share(position: np.ndarray, is_kind_a: np.ndarray, grid: CoarseGrid, at_least: int) -> float:
+    """Return the share by number of the particles of one kind that `lacey_index` excludes, the larger of both kinds.
+
+    Arguments as `lacey_index`. 0 without particles in the grid.
+    """
+    cell, inside = grid.cells_of(position)
+    number = np.bincount(cell[inside], minlength=grid.cell_count)
+    is_dropped, is_kind_a = number[cell[inside]] < at_least, is_kind_a[inside]
+    return max((float(is_dropped[kind].mean()) for kind in (is_kind_a, ~is_kind_a) if kind.any()), default=0.0)

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from granflow.contact.laws import ContactLaws
 from granflow.load import Scene
+from granflow.plan.forecast.drop import forecast_velocity
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.insertion import insertion_warnings
 from granflow.plan.forecast.overlaps import Forecast, impact_forecast, static_forecasts
@@ -27,7 +28,8 @@ def forecasts_of(
 ) -> Iterator[Forecast]:
     """Forecasts of overlaps, walls, regions and servos."""
     pairs = list(touching_pairs(scene))
-    impact = impact_forecast(scene, laws, pairs, impact_velocity.value, impact_velocity.source)
+    expected = forecast_velocity(scene, tuple(walls), impact_velocity)
+    impact = impact_forecast(scene, laws, pairs, expected.value, expected.source)
     if impact is not None:
         yield impact
     static = list(static_forecasts(scene, laws, pairs, bed_pressures(scene, walls, controlled)))

@@ -24,7 +24,7 @@ def region_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]
     """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
     times = nominal_times(scene)
     for name, group in scene.particles.items():
-        region = _region_of(group)
+        region = region_of(group)
         if region is None or group.fixed:
             continue
         radius = 0.5 * diameter_range(group)[0]
@@ -50,7 +50,7 @@ def particle_warnings(scene: Scene, walls: Sequence[PlannedWall], particles: Par
     times = nominal_times(scene)
     for number, (name, group) in enumerate(scene.particles.items()):
         own = np.flatnonzero(particles.group == number)
-        if group.fixed or not len(own) or _region_of(group) is not None:
+        if group.fixed or not len(own) or region_of(group) is not None:
             continue
         points, radius = particles.position[own], particles.radius[own]
         for wall, overlap in _overlaps(walls, points, radius, 0.0, times):
@@ -65,7 +65,7 @@ def particle_warnings(scene: Scene, walls: Sequence[PlannedWall], particles: Par
                 )
 
 
-def _region_of(group: Group) -> RegionSampler | None:
+def region_of(group: Group) -> RegionSampler | None:
     """The region in which particles of a group are inserted at random or on a lattice; None for given positions."""
     insertion = group.insert
     if isinstance(insertion, LatticeInsertion | PackInsertion | RainInsertion):

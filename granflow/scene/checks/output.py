@@ -20,10 +20,10 @@ from granflow.scene.schema.analysis import (
     METRIC_QUANTITIES_BY_KIND,
     CenterOfMassMetric,
     GridSpec,
-    LaceyMetric,
     ProbeMetric,
     ReposeMetric,
     SlidingMetric,
+    TwoComponentGrid,
 )
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.faults import Fault, whole
@@ -52,7 +52,7 @@ def metrics(parts: PartialScene) -> Iterator[Fault]:
     """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
     for name, metric in parts.scene.output.metrics.items():
         path: KeyPath = ("output", "metrics", name)
-        if isinstance(metric, LaceyMetric):
+        if isinstance(metric, TwoComponentGrid):
             yield from _cells(parts.scene.domain, path, metric)
             yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
             yield from _unknown_names((*path, "materials"), metric.materials, parts.names("materials"), "material")

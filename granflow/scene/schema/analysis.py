@@ -75,22 +75,14 @@ class FieldGrid(GridSpec):
                 yield Fault(("quantities", index), f"there is no such field. {remedy}")
 
 
-class LaceyMetric(GridSpec):
-    """Lacey mixing index of the particles of some groups, materials or sizes among all particles.
+class TwoComponentGrid(GridSpec):
+    """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
 
-    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.)
-
-    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
-    0.01
-    """
-
-    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
     groups: Names | None = Field(None, description="groups whose particles form the first component")
     materials: Names | None = Field(None, description="materials whose particles form the first component")
     smaller_than: q.UnscaledLength | None = Field(
         None, description="diameter below which particles belong to the first component [m]"
     )
-    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
 
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless exactly one definition of the first component is given."""
@@ -99,6 +91,33 @@ class LaceyMetric(GridSpec):
         if len(given) != 1:
             found = f"has {' and '.join(given)}" if given else "does not define the first component"
             yield whole((), f"{found}; give exactly one of groups, materials and smaller_than")
+
+
+class LaceyMetric(TwoComponentGrid):
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
+
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of different sizes,
+    `SegregationMetric` weights particles by their volume.
+
+    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
+    0.01
+    """
+
+    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
+    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
+
+
+class SegregationMetric(TwoComponentGrid):
+    """Intensity of segregation of two components by volume, and its value for a random mixture.
+
+    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci. Res. A 3
+    (1952) 279.)
+
+    >>> gf.SegregationMetric(cell="1 cm", smaller_than="2 mm").smaller_than
+    0.002
+    """
+
+    kind: Literal["segregation"] = Field("segregation", description="kind of metric")
 
 
 class ReposeMetric(Model):
@@ -198,6 +217,7 @@ class ProbeMetric(Model):
 
 AnyMetric = Annotated[
     LaceyMetric
+    | SegregationMetric
     | ReposeMetric
     | FabricMetric
     | CoordinationMetric
@@ -212,6 +232,7 @@ AnyMetric = Annotated[
 METRIC_QUANTITIES_BY_KIND = {
     "content": ("content_count", "content_mass", "content_volume"),
     "lacey": ("lacey_index",),
+    "segregation": ("segregation_intensity", "segregation_intensity_random"),
     "repose": ("angle_of_repose", "angle_of_repose_error"),
     "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
     "coordination": (

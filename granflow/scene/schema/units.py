@@ -126,6 +126,12 @@ def to_si(text: str, dimension: str) -> float:
     return float(exact) if abs(exact) < _LARGEST else math.copysign(math.inf, plain)
 
 
+def unit_in(text: str) -> str:
+    """Return the unit in a text such as "4 mm"; empty without one."""
+    match = _AMOUNT.fullmatch(text)
+    return (match.group(2) or "").strip() if match else ""
+
+
 def seconds_of(name: str, time: float | str) -> float:
     """The argument `name` of a function, a number [s] or text with a unit such as "1 ms", in s. Raises ValueError."""
     try:

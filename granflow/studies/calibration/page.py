@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of
 from granflow.studies.calibration.schema import CalibrationInput
@@ -32,7 +31,7 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, 
         loss=result.loss,
         best=_best(result),
         targets=_targets(result),
-        remarks=[*(each.not_identified for each in result.parameters if each.not_identified), *result.conflicts],
+        remarks=result.remarks,
         has_plots=bool(script),
         convergence=_convergence(result),
         losses=_losses(result, calibration),
@@ -54,12 +53,8 @@ def _best(result: CalibrationResult) -> PageTable:
 
 def _targets(result: CalibrationResult) -> PageTable:
     """Targets at the best values."""
-    rows = []
-    for each in result.targets:
-        unit = unit_of(each.quantity)
-        measured = "curve" if each.measured != each.measured else f"{each.measured:.5g}"
-        rows.append((each.name, each.quantity, unit, measured, f"{each.simulated:.5g}", f"{each.deviation:.2g}"))
-    return PageTable(("target", "quantity", "unit", "measured", "simulated", "deviation / tolerance"), rows)
+    rows = [(each.name, each.quantity, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
+    return PageTable(("target", "quantity", "measured", "simulated", "deviation / tolerance"), rows)
 
 
 def _convergence(result: CalibrationResult) -> Plot:

@@ -6,8 +6,10 @@ targets determine the parameters with the covariance
     C = (sum of J J^T / (1 + s^2) + 12 I)^-1
 
 J: gradient of a residual at the best values, s: standard deviation of the residual about the fit (scatter between
-runs), 12 I: inverse variance of the uniform distribution between the bounds. A component of J below SIGNIFICANT of its
-standard errors counts as 0.
+runs), at least the root mean square of the standard errors that the runs give for their values; 12 I: inverse variance
+of the uniform distribution between the bounds. A component of J counts as 0 unless its ratio to its standard error
+exceeds the quantile of the t-distribution with the degrees of freedom of the fit, for the confidence of SIGNIFICANT
+standard deviations: few trials need a larger ratio.
 """
 
 from collections.abc import Sequence
@@ -16,9 +18,10 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import ndtr, stdtrit
 
 SIGNIFICANT = 3.0
-"""Smallest ratio of a slope to its standard error."""
+"""Standard deviations of a normal distribution with the confidence of a slope, 99.73 %."""
 
 SURPLUS = 1.5
 """Smallest ratio of the number of trials to that of the coefficients."""
@@ -36,12 +39,21 @@ EXACT = 1e-9
 
 @dataclass(frozen=True)
 class Response:
-    """Fitted residuals: coefficients (terms, residuals), covariance factor (terms, terms), scatter (residuals,)."""
+    """Fitted residuals: coefficients (terms, residuals), covariance factor (terms, terms), scatter (residuals,).
+
+    `freedom`: number of trials less that of the terms.
+    """
 
     degree: int
     coefficients: np.ndarray
     spread: np.ndarray
     scatter: np.ndarray
+    freedom: int
+
+    @property
+    def least_ratio(self) -> float:
+        """Smallest significant ratio of a slope to its standard error: SIGNIFICANT with many trials."""
+        return float(stdtrit(self.freedom, ndtr(SIGNIFICANT)))
 
     def at(self, u: np.ndarray) -> np.ndarray:
         """Residuals (residuals,) at parameters u (d,)."""
@@ -58,29 +70,38 @@ class Response:
         return np.asarray(least_squares(self.at, np.clip(start, 1e-6, 1.0 - 1e-6), bounds=(0.0, 1.0)).x)
 
 
-def fit_response(u: np.ndarray, residuals: np.ndarray, best: int) -> Response | None:
+def fewest_trials(count: int, degree: int = 1) -> int:
+    """Smallest number of trials for a fit of `degree` with `count` parameters."""
+    return int(np.ceil(SURPLUS * terms(np.zeros((1, count)), degree).shape[1])) + 1
+
+
+def fit_response(u: np.ndarray, residuals: np.ndarray, best: int, errors: np.ndarray | None = None) -> Response | None:
     """Fit residuals (trials, residuals) over parameters u (trials, d), near trial `best`; None with too few trials.
 
-    The degree is 2 if the trials suffice for it, else 1. The trials are the half nearest to the best one, or as many as
-    the fit needs.
+    `errors`: standard errors of the residuals (trials, residuals); the scatter about the fit is at least as large. The
+    degree is 2 if the trials suffice for it, else 1. The trials are the half nearest to the best one, or as many as the
+    fit needs.
     """
     order = np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
     for degree in (2, 1):
-        needed = int(np.ceil(SURPLUS * terms(u[:1], degree).shape[1])) + 1
+        needed = fewest_trials(u.shape[1], degree)
         if len(u) >= needed:
             near = order[: max(needed, len(u) // 2)]
-            return _fit(u[near], residuals[near], degree)
+            return _fit(
+                u[near], residuals[near], degree, np.zeros_like(residuals[near]) if errors is None else errors[near]
+            )
     return None
 
 
-def _fit(u: np.ndarray, residuals: np.ndarray, degree: int) -> Response:
+def _fit(u: np.ndarray, residuals: np.ndarray, degree: int, errors: np.ndarray) -> Response:
     """Least squares of all residuals with the same terms."""
     matrix = terms(u, degree)
     inverse = np.linalg.pinv(matrix)
     coefficients = inverse @ residuals
     freedom = len(u) - matrix.shape[1]
     scatter = np.sqrt(((residuals - matrix @ coefficients) ** 2).sum(axis=0) / freedom)
-    return Response(degree, coefficients, inverse @ inverse.T, np.maximum(scatter, EXACT))
+    scatter = np.maximum(scatter, np.sqrt((errors**2).mean(axis=0)))
+    return Response(degree, coefficients, inverse @ inverse.T, np.maximum(scatter, EXACT), freedom)
 
 
 def terms(u: np.ndarray, degree: int) -> np.ndarray:
@@ -136,7 +157,7 @@ class Identification:
 def identification(response: Response, best: np.ndarray) -> Identification:
     """What the targets determine at the parameters `best` (d,); see the module docstring."""
     slopes, errors = response.gradient(best)
-    slopes = np.where(np.abs(slopes) >= SIGNIFICANT * errors, slopes, 0.0)
+    slopes = np.where(np.abs(slopes) >= response.least_ratio * errors, slopes, 0.0)
     information = (slopes.T / (1.0 + response.scatter**2)) @ slopes + np.eye(len(best)) / UNIFORM_VARIANCE
     squares = (slopes**2).sum(axis=0)
     total = float(squares.sum()) or 1.0

@@ -13,10 +13,10 @@ import numpy as np
 from granflow import Scene, load_scene
 from granflow.io.atomic_files import replacing, write_text
 from granflow.io.tables import write_table
-from granflow.studies.calibration.response import fit_response, identification
+from granflow.studies.calibration.response import fewest_trials, fit_response, identification
 from granflow.studies.calibration.schema import CalibrationInput
 from granflow.studies.calibration.search import Search, deviation_in_units, settings_of
-from granflow.studies.calibration.targets import Measured, deviation
+from granflow.studies.calibration.targets import Measured, deviation, given_text
 from granflow.studies.run_processes.settings import overrides_of, si_value
 
 FEWEST_TRIALS = 20
@@ -39,13 +39,29 @@ class BestValue:
 
 
 class BestTarget(NamedTuple):
-    """A target at the best values: measured (nan for a curve) and simulated value, deviation in tolerances."""
+    """A target at the best values: measured (nan for a curve) and simulated value, deviation in tolerances.
+
+    `error`: standard error that the run gives for the simulated value, in tolerances; 0 if it has none. `shown`: texts
+    of the measured and the simulated value, with its error, in the unit in which the calibration gives the target.
+    """
 
     name: str
     quantity: str
     measured: float
     simulated: float
     deviation: float
+    error: float
+    shown: tuple[str, str]
+
+    @property
+    def noise(self) -> str:
+        """A sentence if the scatter of the simulated value exceeds the tolerance; otherwise empty."""
+        if self.error <= 1.0:
+            return ""
+        return (
+            f"{self.name}: the standard error of {self.quantity} in the best trial is {self.error:.2g} times the "
+            "tolerance, so its deviation says little: simulate more particles, a larger region or a time average."
+        )
 
 
 @dataclass(frozen=True)
@@ -57,6 +73,12 @@ class CalibrationResult:
     targets: tuple[BestTarget, ...]
     conflicts: tuple[str, ...]
     trials: tuple[Any, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on parameters that are not identified, on scatter above a tolerance, and on conflicts."""
+        unidentified = [each.not_identified for each in self.parameters if each.not_identified]
+        return (*unidentified, *(each.noise for each in self.targets if each.noise), *self.conflicts)
 
     @property
     def is_met(self) -> bool:
@@ -82,9 +104,13 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
     """Best values of all parameters, with uncertainties from the response near the best trial."""
     parameters, values = search.calibration.parameters, completed[best].params
     u, residuals = search.scaled(completed)
-    response = fit_response(u, residuals, best)
+    response = fit_response(u, residuals, best, search.standard_errors(completed))
     if response is None:
-        return [BestValue(name, values[name], nan, nan, "") for name in parameters]
+        few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
+        return [
+            BestValue(name, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
+            for name in parameters
+        ]
     known = identification(response, u[best])
     return [
         BestValue(
@@ -100,7 +126,13 @@ def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
     """A target at the best trial."""
     value = float(measured.value[0]) if measured.time is None else nan
     size = deviation(measured, trial.user_attrs["residuals"], name)
-    return BestTarget(name, measured.target.quantity, value, trial.user_attrs["simulated"][name], size)
+    error = deviation(measured, trial.user_attrs["errors"], name)
+    quantity, simulated = measured.target.quantity, trial.user_attrs["simulated"][name]
+    shown = given_text(measured, simulated, quantity)
+    if error > 0.0 and measured.time is None:
+        shown += f" \N{PLUS-MINUS SIGN} {error * measured.target.tolerance / measured.factor:.2g}"
+    given = "curve" if measured.time is not None else given_text(measured, value, quantity)
+    return BestTarget(name, quantity, value, simulated, size, error, (given, shown))
 
 
 def _conflicts(targets: Mapping[str, Measured], completed: Sequence[Any]) -> list[str]:

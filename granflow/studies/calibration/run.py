@@ -63,7 +63,9 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
     if missing:
         raise FileError(missing)
     targets = {
-        each: read_target(target, folder, str(document.value_position(("targets", each, "curve"))))
+        each: read_target(
+            target, folder, str(document.value_position(("targets", each, "curve"))), _given(document, each)
+        )
         for each, target in content.targets.items()
     }
     positions: dict[str, str] = {}
@@ -73,6 +75,12 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
             position = str(document.key_position(("parameters", parameter)))
             positions |= dict.fromkeys(content.keys_of(parameter, scene), position)
     return CalibrationFile(content, name, scenes, targets, positions)
+
+
+def _given(document: Any, target: str) -> Any:
+    """The value of a target as in the file, a `Document`; None for a curve."""
+    node = document.find(("targets", target, "value"))
+    return None if node is None else node.data()
 
 
 def run_calibration(

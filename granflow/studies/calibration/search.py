@@ -121,6 +121,14 @@ class Search:
         residuals = [np.concatenate(list(trial.user_attrs["residuals"].values())) for trial in trials]
         return self._unit_parameters(trials), np.array(residuals)
 
+    def standard_errors(self, trials: Sequence[Any]) -> np.ndarray:
+        """Standard errors (trials, residuals) of the weighted residuals, from the runs; 0 where these have none."""
+        found = [
+            np.concatenate([trial.user_attrs["errors"][name] for name in trial.user_attrs["residuals"]])
+            for trial in trials
+        ]
+        return np.array(found)
+
     def _unit_parameters(self, trials: Sequence[Any]) -> np.ndarray:
         """Parameters (trials, d) scaled to [0, 1]."""
         parameters = self.calibration.parameters

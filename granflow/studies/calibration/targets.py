@@ -6,17 +6,21 @@ For a curve, r^2 is the mean over its points.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from granflow.errors import FileError
+from granflow.fields import unit_of
 from granflow.io.tables import read_table
 from granflow.io.time_series import TimeSeriesTable, read_series
+from granflow.scene.schema.units import to_si, unit_in
 from granflow.studies.calibration.schema import Target
 from granflow.studies.run_processes.outcome import numbers_of
+from granflow.studies.run_processes.quantities import error_name
 
 CURVE_COLUMNS = ("time", "value")
 """Columns of a file with a curve."""
@@ -24,11 +28,16 @@ CURVE_COLUMNS = ("time", "value")
 
 @dataclass(frozen=True)
 class Measured:
-    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value` (n,)."""
+    """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value` (n,).
+
+    `unit`: in which the scene file gives the value; empty: SI. `factor`: SI value of this unit.
+    """
 
     target: Target
     time: np.ndarray | None
     value: np.ndarray
+    unit: str = ""
+    factor: float = 1.0
 
     @property
     def scale(self) -> float:
@@ -36,13 +45,15 @@ class Measured:
         return sqrt(self.target.weight / len(self.value)) / self.target.tolerance
 
 
-def read_target(target: Target, folder: Path, position: str) -> Measured:
+def read_target(target: Target, folder: Path, position: str, given: Any = None) -> Measured:
     """The target with its measured values; a curve is read from its file, relative to `folder`.
 
-    `position`: of the target in its file, for messages. Raises FileError for an invalid table.
+    `position`: of the target in its file, for messages; `given`: its value there, such as "27 deg". Raises FileError
+    for an invalid table.
     """
     if target.curve is None:
-        return Measured(target, None, np.array([target.value], dtype=float))
+        unit = unit_in(given) if isinstance(given, str) else ""
+        return Measured(target, None, np.array([target.value], dtype=float), unit, to_si(f"1 {unit}".strip(), "any"))
     path = folder / target.curve
     try:
         table = read_table(path)
@@ -69,6 +80,17 @@ def simulated(measured: Measured, directory: Path) -> np.ndarray:
         return np.array([numbers_of(directory).get(measured.target.quantity, np.nan)])
     series = read_series(directory / "timeseries.csv")
     return np.full(len(measured.value), np.nan) if series is None else _at_times(measured, series)
+
+
+def standard_errors(measured: Measured, directory: Path) -> np.ndarray:
+    """Standard errors (n,) of the weighted residuals of a completed run; 0 where it gives no error of its values.
+
+    The error of `angle_of_repose.left` is `angle_of_repose_error.left`, that of `angle_of_repose_mean.left` is
+    `angle_of_repose_error_mean.left`.
+    """
+    name = error_name(measured.target.quantity)
+    named = replace(measured, target=measured.target.model_copy(update={"quantity": name}))
+    return np.nan_to_num(simulated(named, directory)) * measured.scale
 
 
 def partial_loss(measured: Measured, directory: Path) -> float:
@@ -109,3 +131,10 @@ def deviation(measured: Measured, found: Mapping[str, list[float]], name: str) -
     values = np.array(found.get(name, [np.inf]))
     size = float(np.sqrt((values**2).sum() / measured.target.weight))
     return size if isfinite(size) else float("inf")
+
+
+def given_text(measured: Measured, value: float, quantity: str) -> str:
+    """Text of a value [SI] of a target, with the unit in which the calibration gives the target, or its SI unit."""
+    if measured.unit:
+        return f"{value / measured.factor:.5g} {measured.unit}"
+    return f"{value:.5g} {unit_of(quantity)}".rstrip()

@@ -12,9 +12,16 @@ import numpy as np
 from granflow.errors import GranflowError, SceneError
 from granflow.studies.calibration.schema import CalibrationInput
 from granflow.studies.calibration.search import FIRST_RANDOM, Search, settings_of
-from granflow.studies.calibration.targets import Measured, partial_loss, residuals, shown_value, simulated
+from granflow.studies.calibration.targets import (
+    Measured,
+    partial_loss,
+    residuals,
+    shown_value,
+    simulated,
+    standard_errors,
+)
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
-from granflow.studies.run_processes.outcome import NOT_RUN, Outcome
+from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, numbers_of, read_json
 from granflow.studies.run_processes.process import execute
 from granflow.studies.run_processes.settings import relocated, si_value
 
@@ -92,6 +99,7 @@ class TrialRunner:
         limit = self._limit()
         found: dict[str, list[float]] = {}
         shown: dict[str, float] = {}
+        errors: dict[str, list[float]] = {}
         for number, scene in enumerate(self.scenes):
             run = self._checked(scene, trial.params)
             trial.set_user_attr(f"run.{scene}", run.directory.name)
@@ -100,12 +108,13 @@ class TrialRunner:
             for name, measured in self._targets_of(scene).items():
                 values = simulated(measured, run.directory)
                 if not np.isfinite(values).all():
-                    reason = f"{run.directory} has no {measured.target.quantity} at some time of the target {name}."
-                    raise TrialFailed(reason)
+                    raise TrialFailed(_missing_reason(name, measured, run.directory))
+                errors[name] = standard_errors(measured, run.directory).tolist()
                 found[name] = residuals(measured, run.directory).tolist()
                 shown[name] = shown_value(measured, values)
         trial.set_user_attr("residuals", {name: found[name] for name in self.targets})
         trial.set_user_attr("simulated", shown)
+        trial.set_user_attr("errors", {name: errors[name] for name in self.targets})
         return sum(float(np.sum(np.square(each))) for each in found.values())
 
     def _limit(self) -> float:
@@ -142,3 +151,16 @@ class TrialRunner:
                 raise TrialStopped
         elif not outcome.has_numbers:
             raise TrialFailed(f"{outcome.status}: {outcome.reason}")
+
+
+def _missing_reason(name: str, measured: Measured, directory: Path) -> str:
+    """Why a completed run has no value for the target `name`: with the warnings of the run on its metric."""
+    quantity = measured.target.quantity
+    if measured.time is not None:
+        return f"{directory}: {quantity} is NaN, or missing, at some time of the target {name}."
+    if quantity not in numbers_of(directory):
+        return f"{directory} has no {quantity}, which the target {name} requires."
+    metric = f"output.metrics.{quantity.partition('.')[2]}: "
+    content = read_json(directory / "result.json") or {}
+    reasons = [each for each in content.get("warnings", ()) if str(each).startswith(metric)]
+    return " ".join([f"{directory}: {quantity} is NaN (target {name}).", *reasons])

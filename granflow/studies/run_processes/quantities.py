@@ -42,3 +42,10 @@ def unknown_quantity(name: str, scene: Scene) -> str:
     with_parts = ", ".join(each for each in known if "." in each and not each.startswith("timings."))
     remedy = f"Did you mean {near}?" if near else f"Apart from totals such as kinetic_energy it has {with_parts}."
     return f"{name} is not a number of a run of {scene.path.name or 'the scene'}. {remedy}"
+
+
+def error_name(quantity: str) -> str:
+    """Name of the standard error of a number, such as angle_of_repose_error_mean.left; few quantities have one."""
+    name, dot, part = quantity.partition(".")
+    base, end = (name[: -len("_mean")], "_mean") if name.endswith("_mean") else (name, "")
+    return f"{base}_error{end}{dot}{part}"

@@ -13,6 +13,7 @@ from granflow.io.atomic_files import replacing
 from granflow.io.tables import write_table
 from granflow.studies.run_processes.checked import CheckedRun
 from granflow.studies.run_processes.outcome import DONE, REFUSED, UNFINISHED, Outcome, numbers_of, worst
+from granflow.studies.run_processes.quantities import error_name
 from granflow.studies.sweep.design import DesignPoint
 
 STANDARD_ERROR = "standard_error"
@@ -46,9 +47,15 @@ class PointRow:
         return float(np.mean(values)) if values else nan
 
     def standard_error(self, name: str) -> float:
-        """Standard error of the mean over the seeds; nan for fewer than two values."""
-        values = self._values(name)
-        return float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
+        """Standard error of the mean over the seeds; nan for fewer than two values without errors of their own.
+
+        The larger one of s / sqrt(n) and sqrt(sum e^2) / n: the scatter s between seeds contains the errors e that the
+        runs give (`angle_of_repose_error`), but few seeds may agree by chance.
+        """
+        values, own = self._values(name), self._values(error_name(name))
+        scatter = float(np.std(values, ddof=1) / sqrt(len(values))) if len(values) > 1 else nan
+        combined = float(np.linalg.norm(own) / len(own)) if own else nan
+        return float(np.fmax(scatter, combined))
 
     def _values(self, name: str) -> list[float]:
         return [value for each in self.runs if isfinite(value := each.numbers.get(name, nan))]
@@ -76,7 +83,8 @@ class SweepTable:
     def columns(self) -> dict[str, list[Any]]:
         """Columns of `sweep.csv`: parameters, status, reason, seconds, quantities, run directories.
 
-        With several seeds, each quantity is the mean, followed by its standard error. None for missing numbers.
+        With several seeds, each quantity is the mean, followed by its standard error; with one seed, the standard error
+        follows the quantities of which the runs give one. None for missing numbers.
         """
         outcomes = [row.outcome for row in self.rows]
         found: dict[str, list[Any]] = {name: [row.point.values[name] for row in self.rows] for name in self.parameters}
@@ -85,7 +93,7 @@ class SweepTable:
         found["seconds"] = [_cell(each.seconds) for each in outcomes]
         for name in self.quantities:
             found[label(name)] = [_cell(row.mean(name)) for row in self.rows]
-            if self.seed_count > 1:
+            if self.seed_count > 1 or any(isfinite(row.standard_error(name)) for row in self.rows):
                 head = f"{STANDARD_ERROR}.{label(name)}"
                 found[head] = [_cell(row.standard_error(name)) for row in self.rows]
         found["runs"] = [" ".join(row.directories) for row in self.rows]

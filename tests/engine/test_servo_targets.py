@@ -1,0 +1,81 @@
+"""Warnings of servo walls that are off their target when a stage ends."""
+
+import json
+import logging
+import shutil
+
+import pytest
+from scene_builders import box, build_scene, particle_group
+
+from granflow.io.checkpoint import read_checkpoint
+from granflow.runs.servo_forces import off_target
+from granflow.simulation import Simulation
+
+RADIUS, TARGET = 0.005, 0.5
+
+
+def lid_scene(gap, press, release=0.0, force=TARGET, velocity_max=0.5, **servo):
+    """Four particles on a floor, and a lid `gap` [m] above them that presses with `force` [N] in the stage press."""
+    walls = {"floor": box(0.04)["low_z"], "lid": {
+        "shape": "rectangle", "corner": [0, 0, 2.0 * RADIUS + gap], "sides": [[0.04, 0, 0], [0, 0.04, 0]],
+        "material": "glass", "motion": {
+            "kind": "servo", "direction": [0, 0, -1], "force": force, "velocity_max": velocity_max, "stages": ["press"],
+        } | servo,
+    }}  # fmt: skip
+    positions = [[0.02 + 0.006 * x, 0.02 + 0.006 * y, RADIUS] for x in (-1, 1) for y in (-1, 1)]
+    stages = [{"name": "press", "duration": press}] + ([{"name": "release", "duration": release}] if release else [])
+    return build_scene(
+        {"balls": particle_group(positions)}, walls=walls, pair={"restitution": 0.1}, stages=stages,
+        run={"velocity_max": 1.0}, output={"interval": 1.0, "checkpoint": {"interval": 0.004}},
+    )  # fmt: skip
+
+
+def warned(scene, tmp_path, **options):
+    """The warnings on servos at the end of a stage, in result.json after the run."""
+    Simulation(scene, out=tmp_path / "run", **options).run()
+    warnings = json.loads((tmp_path / "run" / "result.json").read_text())["warnings"]
+    return [each for each in warnings if "at the end of stage" in each]
+
+
+def test_servo_that_never_touches_the_bed_is_reported_once(taichi_f64, tmp_path, caplog):
+    """The stage press ends before the lid arrives; the servo is not active in the stage release."""
+    with caplog.at_level(logging.WARNING, "granflow"):
+        found = warned(lid_scene(0.003, 0.005, release=0.001), tmp_path)
+    assert len(found) == 1 and found == [each for each in caplog.messages if "does not touch the particles" in each]
+    assert "walls.lid.motion" in found[0] and "stage press (0.005" in found[0]
+    assert "0 N (0 Pa) instead of 0.5 N (312 Pa)" in found[0]
+
+
+def test_servo_at_its_target_is_not_reported(taichi_f64, tmp_path):
+    assert warned(lid_scene(0.0005, 0.03, velocity_max=0.05), tmp_path) == []
+
+
+def test_servo_that_still_approaches_its_target_is_reported(taichi_f64, tmp_path):
+    """A gain so small that the force is still increasing at the end of the stage."""
+    (sentence,) = warned(lid_scene(0.0, 0.01, gain=2e-4), tmp_path)
+    reached = float(sentence.split("target: ")[1].split(" N")[0])
+    assert 0.0 < reached < 0.95 * TARGET
+
+
+def test_fluctuations_about_the_target_are_tolerated_and_a_deviation_of_the_mean_is_not(taichi_f64):
+    """The force at the end is 0: off its target; the samples decide whether it fluctuates about it."""
+    simulation = Simulation(lid_scene(0.003, 0.005))
+    simulation.run(until=0.004)
+    about = [[TARGET * (1.0 + 0.5 * (-1) ** k)] for k in range(20)]
+    below = [[0.6 * sample[0]] for sample in about]
+    assert list(off_target(simulation.engine, "press", about)) == []
+    (sentence,) = off_target(simulation.engine, "press", below)
+    simulation.free()
+    assert "is off its target: 0 N" in sentence
+
+
+@pytest.mark.parametrize("is_reached", [True, False])
+def test_resumed_run_has_the_warnings_of_the_whole_run(taichi_f64, tmp_path, is_reached):
+    scene = lid_scene(0.0, 0.03, velocity_max=0.05) if is_reached else lid_scene(0.0, 0.01, gain=2e-4)
+    whole = warned(scene, tmp_path)
+    shutil.move(tmp_path / "run", tmp_path / "whole")
+    shutil.copytree(tmp_path / "whole", tmp_path / "run")
+    saved = read_checkpoint(sorted((tmp_path / "run").glob("checkpoint_*.npz"))[0])
+    assert saved.time > 0.0 and len(saved.saved["stage_progress"]["servos"]["samples"]) == 20
+    assert warned(scene, tmp_path, resume=saved) == whole
+    assert len(whole) == (0 if is_reached else 1)
