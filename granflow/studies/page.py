@@ -21,6 +21,10 @@ MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".mp4": "video/mp4"}
 """Media type of each file type that a page can embed."""
 
 
+LONG_CELL = 60
+"""Number of characters of a cell that needs the full width of a telephone."""
+
+
 def write_study(
     path: Path, template: str, tables: Mapping[str, Mapping[str, np.ndarray]], figures: Mapping[str, Drawing],
     **content: Any,
@@ -62,7 +66,7 @@ def environment() -> Environment:
     found.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     found.filters |= {
         "data_uri": _data_uri, "g": _general, "percent": percent, "readable": readable, "repr": repr,
-        "text_columns": _text_columns,
+        "text_columns": _text_columns, "is_wide": _is_wide,
     }  # fmt: skip
     return found
 
@@ -85,6 +89,12 @@ def _data_uri(path: Path) -> Markup:
 def _text_columns(table: PageTable) -> list[bool]:
     """Whether each column contains a cell that is not aligned like a number."""
     return [not all(_is_number(row[column]) for row in table.rows) for column in range(len(table.heads))]
+
+
+def _is_wide(table: PageTable) -> bool:
+    """Whether a table with headings is too wide for a telephone: many columns, or a long text with other columns."""
+    longest = max((len(cell) for row in table.rows for cell in row), default=0)
+    return any(table.heads) and (len(table.heads) > 4 or (len(table.heads) > 2 and longest > LONG_CELL))
 
 
 def _is_number(text: str) -> bool:

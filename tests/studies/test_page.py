@@ -101,6 +101,8 @@ def test_rows_of_wide_tables_are_labeled_for_narrow_screens(tmp_path):
     page = page_with(tmp_path, content=wide)
     assert "<table class=cards>" in page and '<td data-label="c&lt;">3</td>' in page
     assert '<td class=words data-label="law">x</td>' in page
+    long = PageTable(("time", "level", "message"), [("0", "error", "long " * 13)])
+    assert "<table class=cards>" in page_with(tmp_path, content=long)
     narrow = page_with(tmp_path)
     assert "class=cards" not in narrow and "data-label=" not in narrow.partition("</style>")[2]
 

@@ -4,18 +4,26 @@ import json
 import re
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from observers.snapshots import particles_of, snapshot_of
 from studies.test_page import BalanceParser
 
 from granflow import read_run
 from granflow.cli.main import main
 from granflow.io.log_reader import explanation, read_log, sessions, warnings_and_errors
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
+from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_writer import write_vtu
+from granflow.observers.vtu import ParticleFrames
 from granflow.studies.page import environment, page_text
+from granflow.studies.render.frames import frames_of
+from granflow.studies.report import pictures as pictures_module
 from granflow.studies.report import sections as report_sections
-from granflow.studies.report.pictures import _caption
+from granflow.studies.report.field_grids import field_content
+from granflow.studies.report.pictures import _caption, course_pictures, pictures_for
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.report import report_text
 from granflow.studies.report.sections import table_of
@@ -265,6 +273,72 @@ def test_captions_follow_from_file_names(tmp_path):
     assert _caption(tmp_path / "picture_normal_force_iso_cut_0023.png", []) == "normal force, iso, cut."
     assert _caption(tmp_path / "film_velocity_z_from_1_-2_0.8.mp4", []) == "velocity z, from 1 -2 0.8."
     assert _caption(tmp_path / "mine.png", []) == "mine"
+
+
+def frames_in(directory, count):
+    """Particle frames 0 to count - 1 of a run, without pictures."""
+    writer = ParticleFrames(directory, 0.1)
+    for k in range(count):
+        writer.observe(snapshot_of(time=0.1 * k, particles=particles_of(3, seed=k)))
+    return frames_of(directory)
+
+
+def test_pictures_of_the_course_are_rendered_besides_others(tmp_path, monkeypatch):
+    """The one picture that exists is not rendered again; a picture with another name follows those of the course."""
+    frames = frames_in(tmp_path, 9)
+    course = course_pictures(tmp_path, frames)
+    assert [each.path.name for each in course] == [f"picture_velocity_iso_{k:04d}.png" for k in (2, 4, 6, 8)]
+    (tmp_path / "pictures").mkdir()
+    for name in ("picture_velocity_iso_0004.png", "picture_radius_top_0008.png", "film_velocity_iso.mp4"):
+        (tmp_path / "pictures" / name).write_bytes(b"x" * 2_000_000)
+    commands = []
+
+    def stand_in(command, **_):
+        commands.append(command)
+        for number in command[command.index("--frame") + 1].split(","):
+            (tmp_path / "pictures" / f"picture_velocity_iso_{int(number):04d}.png").write_bytes(b"x")
+        return SimpleNamespace(returncode=0)
+
+    monkeypatch.setattr(pictures_module.subprocess, "run", stand_in)
+    monkeypatch.setattr(pictures_module, "reduced", lambda path, scratch: path)
+    monkeypatch.setattr(pictures_module, "find_spec", lambda name: True)
+    shown = [each.path.name for each in pictures_for(tmp_path, tmp_path).shown]
+    assert [command[-1] for command in commands] == ["2,6,8"]
+    assert shown == ["film_velocity_iso.mp4", *(each.path.name for each in course), "picture_radius_top_0008.png"]
+
+
+def write_fields(directory, cells):
+    """Fields of a grid of unit cells at 0.5 s: the number of the cell as the solid fraction, a velocity of 2 m/s."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
+    points = np.concatenate([corners + index for index in np.ndindex(*cells)])
+    count = len(points) // 8
+    values = {"solid_fraction": np.arange(count, dtype=float), "velocity": np.full((count, 3), [2.0, 0.0, 0.0])}
+    mesh = VtuMesh.of_cells("hexahedron", points, np.arange(8 * count).reshape(-1, 8), values)
+    write_vtu(directory / "fields_bed_0000.vtu", mesh)
+    (directory / "fields_bed.pvd").write_text(
+        '<VTKFile><Collection><DataSet timestep="0.5" file="fields_bed_0000.vtu"/></Collection></VTKFile>'
+    )
+
+
+def test_fields_of_a_row_of_cells_are_profiles(tmp_path):
+    write_fields(tmp_path, (1, 1, 3))
+    tables, plots = field_content(tmp_path, with_plots=True)
+    assert tables == [] and [plot.caption for plot in plots] == [
+        "Field bed: solid fraction over z", "Field bed: velocity, magnitude (m/s) over z"
+    ]  # fmt: skip
+    (curve,) = plots[0].figure["data"]
+    assert curve["x"] == [0.5, 1.5, 2.5] and curve["y"] == [0.0, 1.0, 2.0] and curve["name"] == "0.5 s"
+    assert len(field_content(tmp_path, with_plots=False)[0]) == 1
+
+
+def test_fields_of_other_grids_are_tables(run):
+    write_fields(run, (2, 1, 3))
+    (table,), plots = field_content(run, with_plots=True)
+    assert plots == [] and table.rows == [
+        ["solid fraction", "0", "2.5", "5"], ["velocity, magnitude (m/s)", "2", "2", "2"]
+    ]  # fmt: skip
+    text = text_of(run)
+    assert "Fields" in text and "Field bed at 0.5 s over 6 cells; fields_bed.pvd has all frames." in text
 
 
 @pytest.mark.slow

@@ -73,6 +73,22 @@ def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
     assert "Sobol" not in page.partition("<body>")[2].partition("<script>")[0]
 
 
+def test_angles_of_a_sweep_are_in_rad_and_degrees(tmp_path):
+    pytest.importorskip("plotly")
+    angles = {"expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": {"angle_of_repose": 0.4}}}
+    content = {"scene": "a.yaml", "vary": {"a.x": [1.0]}, "read": ["angle_of_repose.left"]}
+    sweep = SweepInput.model_validate(content)
+    (point,) = design_points(sweep)
+    made = finished(tmp_path, "run0", 1.0)
+    (made.directory / "result.json").write_text(json.dumps(angles))
+    outcomes = {made.request.directory: final_outcome(made.directory)}
+    table = table_of(tuple(sweep.vary), sweep.read, [(point, [made])], outcomes)
+    write_sweep_page(tmp_path, sweep, "study", table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert ">0.4 (22.92 deg)</td>" in page and "angle_of_repose.left [rad] = 0.4 (22.92 deg)" in page
+    assert table.columns()["angle_of_repose.left [rad]"] == [0.4]
+
+
 def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
     pytest.importorskip("SALib")
     sweep, table = swept(tmp_path, aborts=(4,), sampling={"kind": "sobol", "count": 4})

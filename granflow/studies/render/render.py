@@ -110,12 +110,17 @@ def write_pictures(
     require_pyvista()
     from PIL import Image
 
-    paths = [out or directory / "pictures" / f"{name_of(style)}_{frame.number:04d}.png" for frame in frames]
+    paths = [out or picture_path(directory, style, frame) for frame in frames]
     for path, picture in zip(paths, pictures(directory, frames, style), strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             Image.fromarray(picture).save(temporary, format="PNG", optimize=True)
     return paths
+
+
+def picture_path(directory: Path, style: PictureStyle, frame: Frame) -> Path:
+    """File of a picture of a frame in `pictures/` of the run."""
+    return directory / "pictures" / f"{name_of(style)}_{frame.number:04d}.png"
 
 
 def name_of(style: PictureStyle) -> str:

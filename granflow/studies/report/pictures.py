@@ -1,4 +1,4 @@
-"""Pictures for the page: those rendered since the end of the run, or a few that are rendered now.
+"""Pictures for the page: a few of the course of the run, rendered if necessary, and others from `granflow render`.
 
 Pictures older than the last frame show another run and are not used.
 """
@@ -17,12 +17,13 @@ from granflow.errors import GranflowError
 from granflow.io.frame_reader import is_empty
 from granflow.studies.render.camera import VIEWS
 from granflow.studies.render.frames import Frame, frames_of
+from granflow.studies.render.render import PictureStyle, picture_path
 
 MOST_PICTURES = 6
-"""Maximum number of pictures in the page."""
+"""Maximum number of pictures in the page besides those of the course of the run."""
 
 SHOWN_FRAMES = 4
-"""Number of frames rendered for a run without pictures: evenly spaced, including the last one."""
+"""Number of pictures of the course of the run: evenly spaced frames, including the last one."""
 
 HEIGHT = 800
 """Height of a picture in the page [pixels]: twice its displayed size."""
@@ -30,7 +31,7 @@ HEIGHT = 800
 QUALITY = 85
 """JPEG quality of embedded pictures, 0 to 100."""
 
-FILM_BYTES = 700_000
+FILM_BYTES = 3_000_000
 """Maximum size of an embedded film in bytes; larger films are referenced by name."""
 
 TIMEOUT = 600.0
@@ -49,6 +50,14 @@ class Picture(NamedTuple):
     caption: str
 
 
+class CoursePicture(NamedTuple):
+    """Picture of the course of a run: frame, style, and file in `pictures/`."""
+
+    frame: Frame
+    style: PictureStyle
+    path: Path = Path()
+
+
 class RunPictures(NamedTuple):
     """Pictures and films of the page, and a sentence about them."""
 
@@ -59,23 +68,23 @@ class RunPictures(NamedTuple):
 def pictures_for(directory: Path, scratch: Path) -> RunPictures:
     """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
 
-    Renders a few frames if the run has no pictures since its last frame. At most MOST_PICTURES pictures and one film of
-    at most FILM_BYTES.
+    First those of the course of the run, rendered if they are not newer than its last frame; then at most MOST_PICTURES
+    others and one film of at most FILM_BYTES.
     """
     try:
         frames = frames_of(directory)
     except GranflowError:
         return RunPictures((), "The run has no frames to render.")
-    found, problem = recent_pictures(directory, frames), ""
-    if not any(path.suffix == ".png" for path in found):
-        problem = render(directory, frames)
-        found = recent_pictures(directory, frames)
-    images = [path for path in found if path.suffix == ".png"][-MOST_PICTURES:]
+    course = course_pictures(directory, frames)
+    problem = render(directory, course, recent_pictures(directory, frames))
+    found = recent_pictures(directory, frames)
+    images = [each.path for each in course if each.path in found]
+    images += [path for path in found if path.suffix == ".png" and path not in images][-MOST_PICTURES:]
     films = [path for path in found if path.suffix == ".mp4"]
     small = [path for path in films if path.stat().st_size <= FILM_BYTES][-1:]
     large = [f"pictures/{path.name}" for path in films if path not in small]
-    shown = [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
-    shown += [Picture(path, _caption(path, frames)) for path in small]
+    shown = [Picture(path, _caption(path, frames)) for path in small]
+    shown += [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
     omitted_films = f" Animations not embedded: {', '.join(large)}." if large else ""
     return RunPictures(shown, (problem or HOW_TO_ADD) + omitted_films)
 
@@ -87,24 +96,33 @@ def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
     return sorted(path for path in found if path.stat().st_mtime >= last)
 
 
-def render(directory: Path, frames: Sequence[Frame]) -> str:
-    """Render a few frames in a subprocess, because VTK aborts if it cannot render; return an error message or "".
-
-    The pictures are in `pictures/` of the run. The time limit is TIMEOUT for each command.
-    """
-    if find_spec("pyvista") is None:
-        return "No pictures, because pyvista is not installed: pip install granflow[plot]"
+def course_pictures(directory: Path, frames: Sequence[Frame]) -> list[CoursePicture]:
+    """Pictures of the course of a run: evenly spaced frames with particles, and the one with the most contacts."""
     filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
     indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
     chosen = [filled[index] for index in indices]
-    numbers = ",".join(str(frame.number) for frame in chosen)
-    commands = [["--frame", numbers]]
+    found = [CoursePicture(frame, PictureStyle()) for frame in chosen]
     with_contacts = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
     if with_contacts:
         most = max(with_contacts, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
-        commands.append(["--frame", str(most.number), "--chains"])
-    for text in commands:
-        command = [sys.executable, "-m", "granflow", "render", str(directory), *text]
+        found.append(CoursePicture(most, PictureStyle(chains=True)))
+    return [each._replace(path=picture_path(directory, each.style, each.frame)) for each in found]
+
+
+def render(directory: Path, course: Sequence[CoursePicture], present: Sequence[Path]) -> str:
+    """Render the pictures that are not `present` in a subprocess, because VTK aborts if it cannot render.
+
+    Returns an error message or "". The time limit is TIMEOUT for each command.
+    """
+    missing = [each for each in course if each.path not in present]
+    if missing and find_spec("pyvista") is None:
+        return "No pictures of the course of the run, because pyvista is not installed: pip install granflow[plot]"
+    for chains in (False, True):
+        numbers = ",".join(str(each.frame.number) for each in missing if each.style.chains == chains)
+        if not numbers:
+            continue
+        command = [sys.executable, "-m", "granflow", "render", str(directory), "--frame", numbers]
+        command += ["--chains"] if chains else []
         try:
             completed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:

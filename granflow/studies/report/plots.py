@@ -22,6 +22,9 @@ AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
 
+STANDOFF = 6
+"""Distance of the title of the horizontal axis from its labels [pixels], so that it is above the legend."""
+
 LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
 """Legend below the plot; the script of the page makes room for its rows."""
 
@@ -53,20 +56,29 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
     curves = [_curve(number, column, series, per_unit, shown) for number, column in enumerate(group.columns)]
     unit = f" ({shown})" if shown else ""
-    layout = {
+    layout = {**curve_layout("time (s)", group.title + unit, len(curves) > 1), **_stage_marks(series)}
+    return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
+
+
+def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]:
+    """Layout of a plot of curves in the format of plotly."""
+    return {
         "height": HEIGHT,
         "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
         "hovermode": "x unified",
-        "showlegend": len(curves) > 1,
+        "showlegend": has_legend,
         "legend": LEGEND,
-        "xaxis": {**AXIS, "title": {"text": "time (s)"}, "exponentformat": "none", "hoverformat": ".6~g"},
-        "yaxis": {**AXIS, "title": {"text": group.title + unit}},
-        **_stage_marks(series),
+        "xaxis": {
+            **AXIS,
+            "title": {"text": x_title, "standoff": STANDOFF},
+            "exponentformat": "none",
+            "hoverformat": ".6~g",
+        },
+        "yaxis": {**AXIS, "title": {"text": y_title}},
     }
-    return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
 
 
 def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str) -> dict[str, Any]:
@@ -77,14 +89,14 @@ def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit:
         "type": "scatter",
         "mode": "lines" if len(time) > 1 else "markers",
         "name": column.text,
-        "x": _plain(time),
-        "y": _plain(values),
+        "x": plain(time),
+        "y": plain(values),
         "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
         "hovertemplate": f"%{{y:.5~g}} {unit}",
     }
 
 
-def _plain(values: np.ndarray) -> list[float]:
+def plain(values: np.ndarray) -> list[float]:
     """Numbers with DIGITS digits, as Python floats for JSON."""
     return [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
 

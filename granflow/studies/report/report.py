@@ -8,6 +8,7 @@ from granflow import Run, read_run
 from granflow.io.atomic_files import replacing
 from granflow.studies.page import page_text
 from granflow.studies.report import sections
+from granflow.studies.report.field_grids import field_content
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
 
@@ -36,6 +37,7 @@ def write_report(
 def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
     """The page: results first, then the computation. `script` is the plot library; empty for a page without plots."""
     plan, problem = sections.plan(record)
+    fields = field_content(record.directory, bool(script))
     return page_text(
         "report.html",
         record=record,
@@ -46,6 +48,8 @@ def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
         warnings=sections.warnings(record),
         expectations=sections.expectations(record),
         topics=sections.topics(record, bool(script)),
+        field_tables=fields[0],
+        field_plots=fields[1],
         timings=sections.timings(record),
         remaining=sections.remaining_numbers(record),
         plan=plan,

@@ -70,7 +70,7 @@ NEGLIGIBLE = 1e-15
 ENDED_BY = "ended by "
 """Prefix of the log entry of an exception that ended a run."""
 
-BAR_STEPS = 30
+BAR_STEPS = 20
 """Length of the bar of the total wall-clock time, in blocks."""
 
 
@@ -244,7 +244,7 @@ def machine(record: Run) -> PageTable:
 
 def warnings(record: Run) -> PageTable:
     """Warnings and errors of the run."""
-    return PageTable(("time", "", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
+    return PageTable(("time", "level", "message"), list(warnings_and_errors(record.log)), FROM_LOG)
 
 
 def remaining_numbers(record: Run) -> list[PageTable]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from granflow.studies.report.plots import AXIS, LEGEND
+from granflow.studies.report.plots import AXIS, LEGEND, STANDOFF
 
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"}
 
@@ -25,7 +25,13 @@ def layout(height: int, **more: Any) -> dict[str, Any]:
 
 def axis(title: str, **more: Any) -> dict[str, Any]:
     """An axis with a title."""
-    return {**AXIS, "title": {"text": title}, "exponentformat": "power", "automargin": True, **more}
+    return {
+        **AXIS,
+        "title": {"text": title, "standoff": STANDOFF},
+        "exponentformat": "power",
+        "automargin": True,
+        **more,
+    }
 
 
 def row_of_axes(titles: Sequence[str], y_title: str) -> dict[str, Any]:

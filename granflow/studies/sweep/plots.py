@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from granflow.fields import unit_of
 from granflow.studies.figures import COLORS
 from granflow.studies.report.plots import Plot
 from granflow.studies.sweep.axes import COLOR_SCALE, axis, last_key, layout, plain, row_of_axes
 from granflow.studies.sweep.sensitivity import SobolIndices
 from granflow.studies.sweep.table import PointRow, SweepTable, label
+from granflow.visible_text import in_degrees
 
 MOST_LEVELS = 12
 """Largest number of values of a parameter with a mean of their own; more are combined in BINS intervals."""
@@ -30,7 +32,10 @@ HEIGHT, MATRIX_CELL = 340, 150
 def hover(row: PointRow, table: SweepTable) -> str:
     """Text at the pointer: parameters, quantities and run directories."""
     lines = [f"{last_key(name)} = {plain(row.point.values[name], 4)}" for name in table.parameters]
-    lines += [f"{label(name)} = {plain(row.mean(name), 4)}" for name in table.quantities]
+    lines += [
+        f"{label(name)} = {plain(row.mean(name), 4)}{in_degrees(row.mean(name), unit_of(name))}"
+        for name in table.quantities
+    ]
     return "<br>".join([*lines, *(f"runs/{name}" for name in row.directories)])
 
 

@@ -16,8 +16,8 @@ function makeRoom(plot, layout) {
   const legend = plot.querySelector(".legend .bg");
   if (!legend || layout.legend?.orientation !== "h") return;
   const rows = Math.ceil(legend.getBoundingClientRect().height);
-  const {t, b} = layout.margin, inner = layout.height - t - b;
-  const room = {"height": layout.height + rows, "margin.b": b + rows, "legend.y": -b / inner};
+  const {t, b} = layout.margin, inner = layout.height - t - b, gap = 4;
+  const room = {"height": layout.height + rows + gap, "margin.b": b + rows + gap, "legend.y": -(b + gap) / inner};
   if (plot._fullLayout.height !== room.height) Plotly.relayout(plot, room);
 }
 
