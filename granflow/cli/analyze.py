@@ -11,7 +11,6 @@ from typing import Any
 from granflow.cli.arguments import add_out, add_overrides, add_verb
 from granflow.cli.messages import say, show_table
 from granflow.errors import GranflowError
-from granflow.fields import unit_of
 from granflow.visible_text import in_degrees
 
 MAX_ROWS = 20
@@ -46,6 +45,8 @@ def analyze(options: argparse.Namespace) -> int:
 
 def _cell(name: str, value: float | str) -> str:
     """Text of a value of the column `name`; of an angle with degrees."""
+    from granflow.fields import unit_of
+
     return value if isinstance(value, str) else f"{value:.4g}" + in_degrees(value, unit_of(name.partition(" [")[0]))
 
 
