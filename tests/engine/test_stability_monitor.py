@@ -40,11 +40,7 @@ def test_valid_run_has_no_warnings(taichi_f64, energy):
 
 def double_velocities_once(simulation, snapshot):
     """Injects energy: doubles all velocities at the first check after 2 ms; checks are 0.1 ms apart."""
-    if (
-        snapshot.time > 0.002
-        and not simulation.engine.stability_monitor.warnings
-        and snapshot.time - 1e-4 <= 0.002
-    ):
+    if snapshot.time > 0.002 and not simulation.engine.stability_monitor.warnings and snapshot.time - 1e-4 <= 0.002:
         field = simulation.engine.state.particles.velocity
         field.from_numpy(2.0 * field.to_numpy())
 
