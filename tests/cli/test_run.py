@@ -124,7 +124,7 @@ def test_unsatisfied_expectation_and_warning_are_reported(home):
 def test_every_warning_on_the_screen_is_in_log_result_and_report(home):
     """A coarse time step, an impact above the overlap limit, and particles that are due after the end.
 
-    The highest drop is that of the rain, 2 cm: sqrt(2 g h) = 0.626 m/s. Restitutions are those at 0.886 m/s, as planned.
+    The highest drop is that of the rain, 2 cm: sqrt(2 g h) = 0.626 m/s. Restitutions are those at 0.886 m/s.
     """
     rain = "{kind: rain, rate: 10, start: 1 s, region: {box: {min: [0, 0, 1 cm], max: [2 cm, 2 cm, 2 cm]}}}"
     late = f"{{material: glass, count: 5, diameter: 4 mm, insert: {rain}}}"
