@@ -25,7 +25,7 @@ from sheared_scenes import sheared_gas  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
-from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
+from granflow.parallel import decomposition, rank_engine  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
 from granflow.parallel.rank_engine import RankEngine  # noqa: E402
@@ -117,7 +117,23 @@ def sheared():
     return sheared_gas(duration=0.008, sizes=(0.002, 0.0065))
 
 
+def uneven():
+    """125 particles in contact beside 125 without, in a long box: ranks with equal costs have unequal counts."""
+    dense = 0.01 * 0.99 * (np.argwhere(np.ones((5, 5, 5))) + 0.55)
+    dilute = 0.01 * (2.0 * np.argwhere(np.ones((5, 5, 5))) + [6.5, 0.5, 0.5])
+    walls = box(0.101)
+    walls["high_x"]["point"] = [0.2, 0.0, 0.0]
+    velocity = np.random.default_rng(3).uniform(-0.5, 0.5, dilute.shape).tolist()
+    groups = {"dense": particle_group(dense), "dilute": particle_group(dilute, velocity=velocity)}
+    return build_scene(
+        groups, walls, pair={"friction": 0.4, "restitution": 0.2}, gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": 32, "skin": 1e-4}, output={"interval": 1.0, "energy_budget": True},
+        run={"duration": 500 * TIME_STEP, "velocity_max": 4.0, "time_step": TIME_STEP},
+    )  # fmt: skip
+
+
 SCENES = {
+    "uneven": uneven,
     "short": bed,
     "long_lists": lambda: bed(numerics={"chunk_size": 32, "skin": 1.5e-3}),
     "hertz": lambda: bed(3000, normal="hertz"),
@@ -147,7 +163,7 @@ def main(name, path, kind):
         ranks.BALANCE, ranks.GHOST_LAYERS = 0.1, 0.0
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
-    rank_rebuild.Decomposition = decomposition.Decomposition = Recorded
+    decomposition.Decomposition = Recorded
     rank_engine.RankEngine = ObservedEngine
     if communicator.is_root:
         with controlling(communicator):
@@ -177,7 +193,7 @@ def save(path, simulation):
               for name, value in getattr(last, kind).items()}  # fmt: skip
     counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
-        counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations()}
+        counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations(), "owned": engine.owned()}
     np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})
     simulation.free()
 
@@ -191,11 +207,16 @@ def histories(engine):
 
 
 class ObservedEngine(RankEngine):
-    """An engine whose root also returns the numbers of migrations."""
+    """An engine whose root also returns the numbers of migrations and of particles."""
 
     def migrations(self):
         with self.communicator.commanding("migrations"):
             return np.array(self.communicator.to_root(sum(Recorded.sent[1:])))
+
+    def owned(self):
+        """Number of particles of each rank."""
+        with self.communicator.commanding("owned"):
+            return np.array(self.communicator.to_root(self.state.count))
 
 
 class Recorded(Decomposition):

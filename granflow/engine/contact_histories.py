@@ -9,6 +9,12 @@ from granflow.engine.neighbor.contact_history_entry import IN_CONTACT
 from granflow.engine.neighbor.history_transfer import vector_components
 from granflow.engine.state import State
 
+WITHOUT_HISTORY = -1
+"""Row of a particle without contact history, see `HistoryTable.write`."""
+
+NOT_TAKEN = -1
+"""Place of a particle that is not selected."""
+
 
 @dataclass(frozen=True)
 class Histories:
@@ -25,9 +31,12 @@ class Histories:
 
     def of(self, rows: np.ndarray) -> "Histories":
         """The histories of the particles with these indices (k,), in this order."""
-        count = self.count[rows]
-        entries = consecutive((np.cumsum(self.count) - self.count)[rows], count)
-        return Histories(count, self.partner[entries], {slot: each[entries] for slot, each in self.values.items()})
+        entries, values = self._contacts_of(rows), self.values
+        return Histories(self.count[rows], self.partner[entries], {slot: values[slot][entries] for slot in values})
+
+    def _contacts_of(self, rows: np.ndarray) -> np.ndarray:
+        """Index of each contact of particles (k,), one particle after the other."""
+        return consecutive((np.cumsum(self.count) - self.count)[rows], self.count[rows])
 
     @property
     def owner(self) -> np.ndarray:
@@ -39,6 +48,37 @@ class Histories:
         entries = np.lexsort((self.partner, self.owner))
         values = {slot: each[entries] for slot, each in self.values.items()}
         return Histories(self.count, self.partner[entries], values)
+
+
+@dataclass(frozen=True)
+class ListedHistories(Histories):
+    """Histories as the neighbor lists contain them: a pair within a chunk is in the list of one of both particles only.
+
+    ids:      (n,) int32, of the particles
+    once:     (k,) contacts that are in the list of one of both particles only
+    other:    (k,) index of the partner of each of these
+    vectors:  by slot (components,), whether a component is that of a vector, which has the other sign for the partner
+    """
+
+    ids: np.ndarray
+    once: np.ndarray
+    other: np.ndarray
+    vectors: dict[str, list[bool]]
+
+    def of(self, rows: np.ndarray) -> Histories:
+        """The histories of the particles with these indices (k,), in this order, with both sides of each pair."""
+        place = np.full(len(self.count), NOT_TAKEN)
+        place[rows] = np.arange(len(rows))
+        direct, mirrored = self._contacts_of(rows), np.flatnonzero(place[self.other] != NOT_TAKEN)
+        once, owner = self.once[mirrored], self.owner
+        row = np.concatenate([place[owner[direct]], place[self.other[mirrored]]])
+        by_row = np.argsort(row, kind="stable")
+        partner = np.concatenate([self.partner[direct], self.ids[owner[once]]])[by_row]
+        values = {}
+        for slot, each in self.values.items():
+            opposite = np.where(self.vectors[slot], -1.0, 1.0).astype(each.dtype) * each[once]
+            values[slot] = np.concatenate([each[direct], opposite])[by_row]
+        return Histories(np.bincount(row, minlength=len(rows)), partner, values)
 
 
 def joined_histories(parts: list[Histories]) -> Histories:
@@ -60,26 +100,24 @@ class HistoryTable:
         self._state = state
 
     def read(self, ids: np.ndarray, count: int) -> Histories:
-        """Histories of all contacts of the owned particles; both sides of a contact between two of them.
+        """Histories of all contacts of the owned particles; arguments as for `listed`."""
+        return self.listed(ids, count).of(np.arange(count))
+
+    def listed(self, ids: np.ndarray, count: int) -> ListedHistories:
+        """Histories of all contacts in the neighbor lists of the owned particles.
 
         ids:    (k,) of the owned particles and the ghosts by index, at the time of the lists
         count:  number of particles, of which those behind the owned ones have no contacts yet
-
-        A pair within a chunk is in one list only; for the other side vectors change their sign.
         """
-        state = self._state
+        state, none = self._state, np.zeros(0, np.int64)
         if not state.neighbors.history:
-            return Histories(np.zeros(count, np.int64), np.zeros(0, np.int32), {})
-        owner, partner, values = self._touching()
+            return ListedHistories(np.zeros(count, np.int64), np.zeros(0, np.int32), {}, ids, none, none, {})
+        owner, index, values = self._touching()
         size = state.plan.chunk_size
-        listed_once = np.flatnonzero((partner >= 0) & (owner // size == partner // size))
-        row = np.concatenate([owner, partner[listed_once]])
-        by_row = np.argsort(row, kind="stable")
-        codes = np.concatenate([np.where(partner < 0, partner, ids[np.maximum(partner, 0)]), ids[owner[listed_once]]])
-        for slot, each in values.items():
-            mirrored = np.where(vector_components(state, slot), -1.0, 1.0).astype(each.dtype) * each[listed_once]
-            values[slot] = np.concatenate([each, mirrored])[by_row]
-        return Histories(np.bincount(row, minlength=count), codes[by_row].astype(np.int32), values)
+        once = np.flatnonzero((index >= 0) & (owner // size == index // size))
+        partner = np.where(index < 0, index, ids[np.maximum(index, 0)]).astype(np.int32)
+        vectors = {slot: vector_components(state, slot) for slot in values}
+        return ListedHistories(np.bincount(owner, minlength=count), partner, values, ids, once, index[once], vectors)
 
     def _touching(self) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Index of the owner and the partner (m,) of each list entry in contact, and the histories."""
@@ -89,9 +127,9 @@ class HistoryTable:
         first = begin[::size].astype(np.int64)
         last = end[np.minimum(np.arange(1, len(first) + 1) * size, state.count) - 1]  # a chunk has no gaps
         list_index = consecutive(first, last - first)
-        list_index = list_index[state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT]
-        owner = np.searchsorted(begin, list_index, side="right") - 1
-        entries = state.built(_contact_table).take(list_index)
+        touches = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
+        owner = np.repeat(np.arange(state.count), end - begin)[touches]
+        entries = state.built(_contact_table).take(list_index[touches])
         return owner, entries.pop("partner").astype(np.int64), entries
 
     def write_lists(self, histories: Histories, ids: np.ndarray) -> None:
@@ -122,14 +160,18 @@ class HistoryTable:
         chunk = np.arange(len(histories.count)) // self._state.plan.chunk_size
         return int(np.bincount(chunk, weights=histories.count, minlength=1).max())
 
-    def write(self, histories: Histories) -> None:
-        """Write the histories of the owned particles where a rank looks for them when it fills neighbor lists."""
-        state, end = self._state, np.cumsum(histories.count)
+    def write(self, histories: Histories, rows: np.ndarray) -> None:
+        """Write histories where a rank looks for them when it fills neighbor lists.
+
+        rows:  (k,) for each particle by index, the one of `histories` that it is; WITHOUT_HISTORY if none
+        """
+        state, end = self._state, np.append(np.cumsum(histories.count), 0)
         if not histories.values:
             return
-        state.built(_range_table).put(np.arange(len(end)), {"begin": end - histories.count, "end": end})
+        begin = end - np.append(histories.count, 0)
+        state.built(_range_table).put(slice(0, len(rows)), {"begin": begin[rows], "end": end[rows]})
         entries = {"partner": histories.partner} | histories.values
-        state.built(_saved_table).put(np.arange(len(histories.partner)), entries)
+        state.built(_saved_table).put(slice(0, len(histories.partner)), entries)
 
 
 def _state_table(state: State) -> FieldTable:

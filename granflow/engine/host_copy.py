@@ -51,8 +51,7 @@ class FieldTable:
         """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
         if self._in_memory:
             return {name: np.array(memory[entries], order="C") for name, memory in self._memory.items()}
-        if isinstance(entries, slice):
-            entries = np.arange(entries.start, entries.stop)
+        entries = _indices(entries)
         tables = self._tables(len(entries))
         if len(entries):
             self._take(np.ascontiguousarray(entries, np.int32), tables[False], tables[True])
@@ -63,12 +62,13 @@ class FieldTable:
             found[name] = np.ascontiguousarray(shaped, ti.lang.util.to_numpy_type(field.dtype))
         return found
 
-    def put(self, entries: np.ndarray, arrays: Mapping[str, Any]) -> None:
+    def put(self, entries: np.ndarray | slice, arrays: Mapping[str, Any]) -> None:
         """Write arrays, as returned by `take`, or one number for all, to the entries with these indices (k,)."""
         if self._in_memory:
             for name, memory in self._memory.items():
                 _put_entries(memory, entries, np.asarray(arrays[name]))
             return
+        entries = _indices(entries)
         tables = self._tables(len(entries))
         for name, (is_integer, columns) in self._columns.items():
             values = np.asarray(arrays[name])
@@ -81,7 +81,12 @@ class FieldTable:
         return {key: np.zeros((count, max(width, 1)), dtype) for key, (width, dtype) in self._types.items()}
 
 
-def _put_entries(memory: Any, entries: np.ndarray, values: np.ndarray) -> None:
+def _indices(entries: np.ndarray | slice) -> np.ndarray:
+    """The indices (k,) of entries."""
+    return np.arange(entries.start, entries.stop) if isinstance(entries, slice) else entries
+
+
+def _put_entries(memory: Any, entries: np.ndarray | slice, values: np.ndarray) -> None:
     """Write numbers (k,), vectors (k, components) or one number to entries of a field; numbers fill vectors."""
     memory[entries] = values[:, None] if values.ndim == 1 and memory.ndim == 2 else values
 

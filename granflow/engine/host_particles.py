@@ -48,8 +48,14 @@ class HostParticles:
 
 
 def joined_arrays(parts: list[Arrays]) -> Arrays:
-    """Arrays (n, ...) of several parts, one part after the other; all parts have the same names."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    """Arrays (n, ...) of several parts, one part after the other; all parts have the same names.
+
+    If one part only has rows, its arrays are not copied.
+    """
+    filled = [part for part in parts if any(map(len, part.values()))] or parts[:1]
+    if len(filled) == 1:
+        return filled[0]
+    return {name: np.concatenate([part[name] for part in filled]) for name in parts[0]}
 
 
 def joined_particles(parts: list[HostParticles]) -> HostParticles:

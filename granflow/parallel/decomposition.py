@@ -43,13 +43,14 @@ class Decomposition:
             node[rows] = self.child[inner] + above
 
 
-def bisected(communicator: Communicator, position: np.ndarray) -> Decomposition:
-    """Decomposition into parts with equal numbers of particles; all ranks call this together.
+def bisected(communicator: Communicator, position: np.ndarray, weights: np.ndarray) -> Decomposition:
+    """Decomposition into parts of equal weight; all ranks call this together.
 
     position:  (n, 3) [m] of the particles of this rank
+    weights:   (n,) integers: their sums are exact, so that all ranks find the same cuts
 
     Each level of the tree cuts all its nodes at once, across their longest side, between the numbers of ranks of both
-    parts. Only counts are communicated.
+    parts. Only sums are communicated.
     """
     first, ranks = [0], [communicator.size]
     axis, cut, child = [NO_CUT], [0.0], [0]
@@ -60,7 +61,7 @@ def bisected(communicator: Communicator, position: np.ndarray) -> Decomposition:
         inside = row[node] >= 0
         part, points = row[node[inside]], position[inside]
         shares = np.array([(ranks[each] // 2) / ranks[each] for each in level])
-        axes, cuts = _cuts(communicator, part, points, shares)
+        axes, cuts = _cuts(communicator, part, points, weights[inside], shares)
         below = []
         for number, each in enumerate(level):
             axis[each], cut[each], child[each] = int(axes[number]), float(cuts[number]), len(ranks)
@@ -76,13 +77,14 @@ def bisected(communicator: Communicator, position: np.ndarray) -> Decomposition:
 
 
 def _cuts(
-    communicator: Communicator, part: np.ndarray, points: np.ndarray, shares: np.ndarray
+    communicator: Communicator, part: np.ndarray, points: np.ndarray, weights: np.ndarray, shares: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Axis and coordinate [m] of the cut of each of k parts.
 
     part:    (n,) part of each particle
     points:  (n, 3) positions [m]
-    shares:  (k,) share of the particles below the cut
+    weights: (n,) integers
+    shares:  (k,) share of the weight below the cut
     """
     parts = len(shares)
     bounds = np.full((2, parts, 3), -np.inf)
@@ -94,9 +96,15 @@ def _cuts(
     axes = np.argmax(high - low, axis=1)
     rows = np.arange(parts)
     begin, end, along = low[rows, axes], high[rows, axes], points[np.arange(len(points)), axes[part]]
-    wanted = shares * communicator.sums(np.bincount(part, minlength=parts))
+
+    def summed(selected: np.ndarray) -> np.ndarray:
+        """Weight (k,) of the selected particles (n,) of each part."""
+        own = np.bincount(part[selected], weights[selected], minlength=parts)
+        return communicator.sums(own.astype(np.int64))
+
+    wanted = shares * summed(np.ones(len(part), bool))
     for _ in range(BISECTIONS):
         middle = 0.5 * (begin + end)
-        below = communicator.sums(np.bincount(part[along < middle[part]], minlength=parts))
+        below = summed(along < middle[part])
         begin, end = np.where(below < wanted, middle, begin), np.where(below < wanted, end, middle)
     return axes, end

@@ -1,5 +1,6 @@
 """The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
 
+import gc
 from collections.abc import Mapping, Sequence
 from functools import wraps
 from typing import Any
@@ -50,6 +51,8 @@ class RankEngine(Engine):
         with communicator.commanding(START):
             super().__init__(rank_plan(plan, communicator.size), backend)
             self.state.ranks = communicator
+            gc.collect()
+            gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
             communicator.barrier()
 
     insert = _on_all_ranks("insert")

@@ -8,26 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from granflow.engine.contact_histories import HistoryTable
+from granflow.engine.contact_histories import WITHOUT_HISTORY, HistoryTable
 from granflow.engine.engine import DELETED_FIELDS
 from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles, joined_arrays, joined_particles
+from granflow.engine.host_particles import HostParticles, joined_arrays
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cell_sort import KEPT_REACH
-from granflow.engine.neighbor.cells import BLOCK_SIDE
 from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
 from granflow.engine.neighbor.rebuild import RebuildKernel
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import BATCH, LANES, State
 from granflow.engine.wall_dynamics import mark_rebuild
+from granflow.parallel.balance import LoadBalance
 from granflow.parallel.communicator import Communicator
-from granflow.parallel.decomposition import Decomposition, bisected
 from granflow.parallel.ghosts import GhostExchange
+from granflow.parallel.migration import Share, migrated
 from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS, list_capacity_for
-
-IMBALANCE = 1.1
-"""Largest over mean number of particles of a rank above which a rebuild decomposes space again."""
 
 UNUSED = -1
 """Id of array entries that contain no particle."""
@@ -41,7 +38,7 @@ class RankRebuild:
     grow:        compiles all kernels again for arrays of larger capacities, (particles, list entries, longest list)
 
     `pending`: particles that the next rebuild appends, all saved fields. `total_count`: particles of all ranks at the
-    last rebuild.
+    last rebuild. `balance`: decides which rank owns a particle.
     """
 
     def __init__(
@@ -56,7 +53,7 @@ class RankRebuild:
         self.pending: list[Arrays] = []
         self.total_count = 0
         self._histories = HistoryTable(state)
-        self._decomposition: Decomposition | None = None
+        self.balance = LoadBalance(communicator)
         self._ids: np.ndarray = np.zeros(0, np.int32)
         self._deleted: set[int] = set()
 
@@ -72,8 +69,9 @@ class RankRebuild:
         """
         state, reach_time = self._state, REACH_STEPS * self._state.clock.time_step
         mark_rebuild(state)  # displacements of walls count from here
-        owned, deleted = self._without_deleted(self._taken())
-        self._list(owned, deleted, pose, workers, reach_time)
+        particles = self._taken()
+        present, deleted = self._without_deleted(particles.arrays)
+        self._list(particles, present, deleted, pose, workers, reach_time)
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
             find_farthest(state)
 
@@ -89,8 +87,9 @@ class RankRebuild:
         state = self._state
         earlier = particles.at_rebuild(state.plan.periodic_box.at(state.clock.time))
         none = {name: values[:0] for name, values in earlier.arrays.items()}
-        owned = self._list(earlier, none, pose, workers, KEPT_REACH)
-        saved_particle_table(state).put(np.arange(state.count), owned.at_present().arrays)
+        share = self._list(earlier, np.arange(earlier.count), none, pose, workers, KEPT_REACH)
+        own = HostParticles(share.arrays, share.histories).at_present()
+        saved_particle_table(state).put(slice(0, state.count), own.arrays)
         self.ghosts.update()
 
     def ids(self) -> np.ndarray:
@@ -98,18 +97,24 @@ class RankRebuild:
         return self._ids
 
     def _list(
-        self, particles: HostParticles, deleted: Arrays, pose: int, workers: int, reach_time: float
-    ) -> HostParticles:
-        """Distribute the particles over the ranks, and fill the neighbor lists; returns those of this rank in order.
+        self,
+        particles: HostParticles,
+        present: np.ndarray,
+        deleted: Arrays,
+        pose: int,
+        workers: int,
+        reach_time: float,
+    ) -> Share:
+        """Distribute the particles over the ranks, and fill the neighbor lists; returns those of this rank.
 
+        present:     (k,) indices of the particles that are not deleted
         deleted:     of this rank
         reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
         """
-        owned = self._migrated(particles)
-        owned = owned.of(self._order(owned.arrays))
-        self._place(owned, self.ghosts.select(owned.arrays, reach_time), deleted)
+        share = self._share(particles, present)
+        self._place(share, self.ghosts.select(share.arrays, reach_time), deleted)
         self._fill(pose, workers, reach_time)
-        return owned
+        return share
 
     def holds(self, particle: int) -> bool:
         """Whether this rank owns the particle with this id, or has deleted it at the last rebuild."""
@@ -121,58 +126,58 @@ class RankRebuild:
         arrays = joined_arrays([saved_particle_table(state).take(slice(0, state.count)), *pending])
         # Integration has wrapped all but pending particles.
         arrays["position"][...] = state.plan.periodic_box.at(state.clock.time).wrap(arrays["position"])
-        return HostParticles(arrays, self._histories.read(self._ids, len(arrays["id"])))
+        return HostParticles(arrays, self._histories.listed(self._ids, len(arrays["id"])))
 
-    def _without_deleted(self, owned: HostParticles) -> tuple[HostParticles, Arrays]:
-        """The particles that remain, and the others, see `engine.neighbor.deletion`."""
-        stays = remaining(self._state, owned.arrays)
-        deleted = {name: values[~stays] for name, values in owned.arrays.items()}
+    def _without_deleted(self, owned: Arrays) -> tuple[np.ndarray, Arrays]:
+        """Indices of the particles that remain, and the others, see `engine.neighbor.deletion`."""
+        stays = remaining(self._state, owned)
+        deleted = {name: values[~stays] for name, values in owned.items()}
         names = [name for name in DELETED_FIELDS if name in deleted]
         all_deleted = joined_arrays(self._communicator.from_each({name: deleted[name] for name in names}))
         if len(all_deleted["id"]):
             self._on_deleted(all_deleted)
-        return (owned if stays.all() else owned.of(np.flatnonzero(stays))), deleted
+        return np.flatnonzero(stays), deleted
 
-    def _migrated(self, owned: HostParticles) -> HostParticles:
+    def _share(self, particles: HostParticles, present: np.ndarray) -> Share:
         """The particles that this rank owns from now on."""
-        communicator, position = self._communicator, owned.arrays["position"].astype(float)
-        counts = np.array(communicator.from_each(len(position)))
-        self.total_count = int(counts.sum())
-        if self._decomposition is None or counts.max() > IMBALANCE * counts.mean():
-            self._decomposition = bisected(communicator, position)
-        to_rank = self._decomposition.owners(position)
-        parts = [owned.of(np.flatnonzero(to_rank == rank)) for rank in range(communicator.size)]
-        return joined_particles(communicator.exchanged(parts))
+        plan, communicator = self._state.plan, self._communicator
+        self.total_count = int(communicator.sums(np.array([len(present)]))[0])
+        position, contacts = particles.arrays["position"][present].astype(float), self._contacts(particles)[present]
+        owners = self.balance.owners(position, contacts)
+        return migrated(communicator, particles, present, owners, 2.0 * plan.radius_max + plan.skin)
 
-    def _order(self, owned: Arrays) -> np.ndarray:
-        """Order of the particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact."""
-        plan, position = self._state.plan, owned["position"].astype(float)
-        if not len(position):
-            return np.zeros(0, np.int64)
-        cell = ((position - position.min(axis=0)) / (2.0 * plan.radius_max + plan.skin)).astype(np.int64)
-        block, inside = np.divmod(cell, BLOCK_SIDE)
-        keys = (owned["id"], *inside.T, *block.T)
-        return np.lexsort(keys)
+    def _contacts(self, particles: HostParticles) -> np.ndarray:
+        """Number (n,) of contacts in the list of each particle; without a history, that of candidate pairs."""
+        neighbors, listed = self._state.neighbors, self._state.count
+        if neighbors.history or particles.count < listed:
+            return particles.histories.count
+        found = np.zeros(particles.count, np.int64)
+        found[:listed] = neighbors.list_end.to_numpy()[:listed] - neighbors.list_begin.to_numpy()[:listed]
+        return found
 
-    def _place(self, owned: HostParticles, ghosts: Arrays, deleted: Arrays) -> None:
-        """Write owned particles, their histories and ghosts to the device.
+    def _place(self, share: Share, ghosts: Arrays, deleted: Arrays) -> None:
+        """Write owned particles, contact histories and ghosts to the device.
 
         Entries between the particles and the ghosts repeat the last owned particle. Deleted particles are behind the
         ghosts, for the diagnosis of an abort.
         """
-        state, count = self._state, len(owned.arrays["id"])
+        state, count, ghost_count = self._state, len(share.rows), len(ghosts["id"])
         first = -(-count // state.plan.chunk_size) * state.plan.chunk_size
-        end = first + len(ghosts["id"])
-        self._grow_arrays(end + len(deleted["id"]), len(owned.histories.partner))
+        end = first + ghost_count
+        self._grow_arrays(end + len(deleted["id"]), len(share.histories.partner))
         state.count, self.ghosts.first = count, first
         state.cell_sort.owned_count[0], state.cell_sort.ghost_first[0] = count, first
         gap = np.full(first - count, count - 1)
-        between = {name: values[gap] for name, values in owned.arrays.items()}
+        between = {name: values[gap] for name, values in share.arrays.items()}
         between["id"] = np.full(len(gap), UNUSED, np.int32)
-        arrays = joined_arrays([owned.arrays, between, ghosts, deleted])
-        saved_particle_table(state).put(np.arange(len(arrays["id"])), arrays)
-        self._histories.write(owned.histories)
-        self._ids, self._deleted = arrays["id"][:end], {*deleted["id"].tolist()}
+        table, begin = saved_particle_table(state), 0
+        for part in (share.arrays, between, ghosts, deleted):
+            table.put(slice(begin, begin + len(part["id"])), part)
+            begin += len(part["id"])
+        without = np.full(len(gap), WITHOUT_HISTORY)
+        self._histories.write(share.histories, np.concatenate([share.rows, without, share.ghost_rows(ghosts["id"])]))
+        self._ids = np.concatenate([share.arrays["id"], between["id"], ghosts["id"]])
+        self._deleted = {*deleted["id"].tolist()}
 
     def _grow_arrays(self, particles: int, histories: int) -> None:
         """Increase the capacities of all ranks if one of them has more particles or histories than fit."""

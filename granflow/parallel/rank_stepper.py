@@ -93,20 +93,26 @@ class RankStepper(Stepper):
         state.control.steps_done[0] = 0
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         write_force_inputs(state, step + 1)
-        self._launch_step(1, self._pose, state.clock.time_step, forcing=0)
+        moving = self._launch_phase(forcing=0)
         integrated = clock.perf_counter()
         self._rank_rebuild.ghosts.update()
         is_due = self._agree()
         exchanged = clock.perf_counter()
-        done = 0 if self.abort_code else self._finish_step(is_due, step)
+        done = 0 if self.abort_code else self._finish_step(is_due, step, moving)
         if plan.has_poses:
             self._pose += done
-        self.timing.sampled_integration += integrated - began
+        self.timing.sampled_integration += moving
         self.timing.exchange += exchanged - integrated
         self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
         self.timing.step_count += done
         self.timing.particle_steps += done * self._rank_rebuild.total_count
         return done
+
+    def _launch_phase(self, moving: int = 1, forcing: int = 1) -> float:
+        """Launch one phase of a step; returns its wall-clock time [s]."""
+        began = clock.perf_counter()
+        self._launch_step(1, self._pose, self.state.clock.time_step, moving, forcing)
+        return clock.perf_counter() - began
 
     def _request_rebuild_for_walls(self, step: int) -> None:
         """Upload the poses of the walls if necessary, and request a rebuild if a wall may have moved too far."""
@@ -118,18 +124,21 @@ class RankStepper(Stepper):
             self._upload(step + 1)
             self._pose = 0
 
-    def _finish_step(self, is_due: bool, step: int) -> int:
-        """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1."""
+    def _finish_step(self, is_due: bool, step: int, moving: float) -> int:
+        """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1.
+
+        moving:  time [s] of the integration
+        """
         if is_due:
             self.rebuild_neighbor_lists(step + 1, self._pose)
             write_force_inputs(self.state, step + 1)
-        began = clock.perf_counter()
-        self._launch_step(1, self._pose, self.state.clock.time_step, moving=0)
+        forcing = self._launch_phase(moving=0)
         computed = clock.perf_counter()
+        self._rank_rebuild.balance.record(moving + forcing)
+        self.timing.sampled_forces += forcing
         self._sum_wall_forces()
         self._rank_rebuild.ghosts.read_abort()
         self._agree()
-        self.timing.sampled_forces += computed - began
         self.timing.exchange += clock.perf_counter() - computed
         if self.abort_code:
             return 0

@@ -22,28 +22,43 @@ class AllParticles:
     largest_of = sums
 
 
+def ones(position):
+    """Equal weights."""
+    return np.ones(len(position), np.int64)
+
+
 @pytest.mark.parametrize("ranks", [1, 2, 3, 5, 8])
 def test_each_rank_has_an_equal_number_of_particles(ranks):
     position = np.random.default_rng(1).normal(size=(1000, 3)) * [3.0, 1.0, 0.2]
-    counts = np.bincount(bisected(AllParticles(ranks), position).owners(position), minlength=ranks)
+    counts = np.bincount(bisected(AllParticles(ranks), position, ones(position)).owners(position), minlength=ranks)
     assert len(counts) == ranks
     assert np.ptp(counts) <= 2
 
 
+@pytest.mark.parametrize("ranks", [2, 3, 5])
+def test_each_rank_has_an_equal_weight(ranks):
+    rng = np.random.default_rng(6)
+    position, weights = rng.random((1000, 3)), rng.integers(1, 50, 1000)
+    owned = np.bincount(bisected(AllParticles(ranks), position, weights).owners(position), weights, minlength=ranks)
+    assert np.ptp(owned) <= 100, "two particles"
+
+
 def test_parts_are_cut_across_their_longest_side():
     position = np.random.default_rng(2).random((1000, 3)) * [1.0, 5.0, 2.0]
-    owner = bisected(AllParticles(2), position).owners(position)
+    owner = bisected(AllParticles(2), position, ones(position)).owners(position)
     assert position[owner == 0, 1].max() < position[owner == 1, 1].min()
 
 
 def test_particles_outside_the_bed_have_an_owner():
     position = np.random.default_rng(3).random((100, 3))
-    owners = bisected(AllParticles(4), position).owners(np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0]]))
+    owners = bisected(AllParticles(4), position, ones(position)).owners(np.array([[-9.0, 0.5, 0.5], [9.0, 9.0, 9.0]]))
     assert set(owners) <= {0, 1, 2, 3}
 
 
 def test_without_particles_one_rank_owns_all_that_come_later():
-    owners = bisected(AllParticles(3), np.zeros((0, 3))).owners(np.random.default_rng(4).random((10, 3)))
+    owners = bisected(AllParticles(3), np.zeros((0, 3)), np.zeros(0, np.int64)).owners(
+        np.random.default_rng(4).random((10, 3))
+    )
     assert set(owners) <= {0, 1, 2}
 
 

@@ -34,19 +34,19 @@ def state_of(folder, scene, ranks=0, kind="ranks"):
 def assert_same_bits(expected, found):
     """Assert that a run on ranks has the arrays of one without MPI.
 
-    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, and the number of
-    reallocations.
+    Returns the numbers of particles that each rank has sent to each rank after the first rebuild, the number of
+    reallocations, and the number of particles of each rank at the end.
     """
-    migrations, growths = found.pop("migrations"), found.pop("growths")
+    migrations, growths, owned = found.pop("migrations"), found.pop("growths"), found.pop("owned")
     assert found.keys() == expected.keys()
     different = [name for name, values in expected.items() if not np.array_equal(values, found[name])]
     assert not different
-    return migrations, growths
+    return migrations, growths, owned
 
 
 def test_two_ranks_give_the_bits_of_a_run_without_mpi(tmp_path):
     expected, found = state_of(tmp_path, "short"), state_of(tmp_path, "short", 2)
-    migrations, _ = assert_same_bits(expected, found)
+    migrations, _, _ = assert_same_bits(expected, found)
     assert expected["rebuilds"] >= 5
     assert len(expected["history.pairs"].T) > 40
     assert (migrations.sum(axis=0) > 0).all()
@@ -59,7 +59,7 @@ def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene
     assert expected["steps"] == 3000
     assert expected["rebuilds"] >= 10
     for ranks in (1, 2, 3, 4):
-        migrations, _ = assert_same_bits(expected, state_of(tmp_path, scene, ranks))
+        migrations, _, _ = assert_same_bits(expected, state_of(tmp_path, scene, ranks))
         if ranks > 1:
             assert (migrations.sum(axis=0) > 0).all(), "each rank receives particles"
             assert (migrations.sum(axis=1) > 0).all(), "each rank sends particles"
@@ -100,8 +100,15 @@ def test_features_have_the_same_bits_on_three_ranks(tmp_path, scene):
 
 
 @pytest.mark.slow
+def test_ranks_with_more_contacts_have_fewer_particles(tmp_path):
+    _, _, owned = assert_same_bits(state_of(tmp_path, "uneven"), state_of(tmp_path, "uneven", 2))
+    assert owned.sum() == 250
+    assert owned.min() < 110
+
+
+@pytest.mark.slow
 def test_arrays_grow_on_all_ranks(tmp_path):
-    _, growths = assert_same_bits(state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small"))
+    _, growths, _ = assert_same_bits(state_of(tmp_path, "long_lists"), state_of(tmp_path, "long_lists", 3, "small"))
     assert growths >= 2, "for particles and for neighbor lists"
 
 

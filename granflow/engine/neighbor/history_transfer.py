@@ -50,7 +50,8 @@ def build_restore_history(state: State) -> Any:
     """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
     If the pair was in the list of the partner, vectors change their sign. Without a saved history all values are zero.
-    On MPI ranks the host has saved the histories of each particle in its new place, with the ids of the partners.
+    On MPI ranks the host has saved the histories with the ids of the partners, and the range of each particle in its
+    new place; the range of a ghost that this rank has owned is that of before.
 
     Reads:   order, id, saved, partner_saved
     Writes:  history, in_contact
@@ -88,7 +89,12 @@ def build_restore_history(state: State) -> Any:
         partner = j
         if j >= 0:
             partner = state.particles.id[j]
-        return find_saved(i, partner), 1.0
+        source = find_saved(i, partner)
+        sign = 1.0
+        if source < 0 and j >= 0:
+            source = find_saved(j, state.particles.id[i])
+            sign = -1.0
+        return source, sign
 
     source_of = source_by_id if has_ghosts else source_before_sort
 

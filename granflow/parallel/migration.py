@@ -1,0 +1,77 @@
+"""Migration of particles, with their contact histories, to the ranks that own their positions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from granflow.engine.contact_histories import WITHOUT_HISTORY, Histories, joined_histories
+from granflow.engine.host_particles import HostParticles, joined_arrays, joined_particles
+from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.engine.ranks import Arrays
+from granflow.parallel.communicator import Communicator
+
+
+@dataclass(frozen=True)
+class Share:
+    """The n particles of a rank after a migration, in the order that they have on the device from now on.
+
+    arrays:     saved fields (n, ...)
+    histories:  of the particles before the migration, then of the arrived ones
+    rows:       (n,) which of `histories` each particle is
+    left, left_id:  (m,) which of `histories` the particles are that other ranks own now, and their ids, ascending
+    """
+
+    arrays: Arrays
+    histories: Histories
+    rows: np.ndarray
+    left: np.ndarray
+    left_id: np.ndarray
+
+    def ghost_rows(self, ids: np.ndarray) -> np.ndarray:
+        """Which of `histories` the ghosts with these ids (k,) are; WITHOUT_HISTORY if this rank has not owned them."""
+        if not len(self.left):
+            return np.full(len(ids), WITHOUT_HISTORY)
+        place = np.minimum(np.searchsorted(self.left_id, ids), len(self.left) - 1)
+        return np.where(self.left_id[place] == ids, self.left[place], WITHOUT_HISTORY)
+
+
+def migrated(
+    communicator: Communicator, particles: HostParticles, present: np.ndarray, to_rank: np.ndarray, cell_size: float
+) -> Share:
+    """Send particles to their ranks, and receive those of this rank; all ranks call this together.
+
+    particles:  of this rank so far
+    present:    (k,) indices of those that are not deleted
+    to_rank:    (k,) rank that owns each of these
+    cell_size:  [m], of the order of the particles
+    """
+    ranks = range(communicator.size)
+    leaving = [present[to_rank == rank] if rank != communicator.rank else present[:0] for rank in ranks]
+    arrived = joined_particles(communicator.exchanged([particles.of(rows) for rows in leaving]))
+    rows = present[to_rank == communicator.rank]
+    arrays, histories, ids = particles.arrays, particles.histories, particles.arrays["id"]
+    if arrived.count:
+        rows = np.concatenate([rows, particles.count + np.arange(arrived.count)])
+        arrays = joined_arrays([arrays, arrived.arrays])
+        histories = joined_histories([histories, arrived.histories])
+    rows = rows[cell_order(arrays["position"][rows].astype(float), cell_size)]
+    left = np.concatenate(leaving)
+    left = left[np.argsort(ids[left])]
+    return Share({name: values[rows] for name, values in arrays.items()}, histories, rows, left, ids[left])
+
+
+def cell_order(position: np.ndarray, cell_size: float) -> np.ndarray:
+    """Order (n,) of particles by blocks of cells, as `engine.neighbor.cells.cell_number`: chunks are compact.
+
+    position:   (n, 3) [m]
+    cell_size:  [m]
+    """
+    if not len(position):
+        return np.zeros(0, np.int64)
+    block, inside = np.divmod(((position - position.min(axis=0)) / cell_size).astype(np.int64), BLOCK_SIDE)
+    number = np.zeros(len(position), np.int64)
+    for axis, count in zip((2, 1, 0), block.max(axis=0)[::-1] + 1, strict=True):
+        number = number * count + block[:, axis]
+    for axis in (2, 1, 0):
+        number = number * BLOCK_SIDE + inside[:, axis]
+    return np.argsort(number, kind="stable")

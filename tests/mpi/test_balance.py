@@ -1,0 +1,119 @@
+"""Balance of the computing time of the ranks, with threads in place of ranks."""
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+import pytest
+
+from granflow.parallel.balance import CONTACT_WEIGHT, PARTICLE_WEIGHT, LoadBalance, relative_costs
+
+COUNT = 4000
+SLOW_STEP = 0.01
+"""Computing time [s] of a step that is long enough to be compared."""
+
+
+class ThreadRanks:
+    """Communicators of ranks that are threads of this process."""
+
+    def __init__(self, size):
+        self.size, self.barrier, self.values = size, Barrier(size), [None] * size
+
+    def on_each(self, rank, value):
+        """The values of all ranks."""
+        self.values[rank] = value
+        self.barrier.wait(timeout=60)
+        found = list(self.values)
+        self.barrier.wait(timeout=60)
+        return found
+
+    def run(self, function):
+        """Results of function(communicator) on all ranks."""
+        with ThreadPoolExecutor(self.size) as pool:
+            return list(pool.map(lambda rank: function(ThreadRank(self, rank)), range(self.size)))
+
+
+class ThreadRank:
+    """The communicator of one of these ranks."""
+
+    def __init__(self, ranks, rank):
+        self.ranks, self.rank, self.size = ranks, rank, ranks.size
+
+    def from_each(self, value):
+        return self.ranks.on_each(self.rank, value)
+
+    def sums(self, values):
+        return np.sum(self.from_each(values), axis=0)
+
+    def largest_of(self, values):
+        return np.max(self.from_each(values), axis=0)
+
+
+def owner_of(position, contacts, *measured):
+    """Rank of each particle after a rebuild, and after each further one, before which the ranks measure times [s]."""
+
+    def rebuilds(communicator):
+        balance, own = LoadBalance(communicator), np.array_split(np.arange(COUNT), communicator.size)[communicator.rank]
+        found = []
+        for seconds in (None, *measured):
+            if seconds is not None:
+                balance.record(10.0 * seconds[communicator.rank])  # a step that another program has disturbed
+                balance.record(seconds[communicator.rank])
+            moved = balance.owners(position[own], contacts[own])
+            owners, rows = (np.concatenate(part) for part in zip(*communicator.from_each((moved, own)), strict=True))
+            found.append(owners[np.argsort(rows)])
+            own = np.flatnonzero(found[-1] == communicator.rank)
+        return found
+
+    return ThreadRanks(2).run(rebuilds)[0]
+
+
+@pytest.fixture
+def position():
+    """Positions in a long box."""
+    return np.random.default_rng(1).random((COUNT, 3)) * [4.0, 1.0, 1.0]
+
+
+def test_ranks_have_equal_weights_and_unequal_counts(position):
+    contacts = np.where(position[:, 0] < 2.0, 6, 0)
+    owner = owner_of(position, contacts)[0]
+    weights = np.bincount(owner, PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts)
+    assert weights.max() < 1.002 * weights.mean()
+    counts = np.bincount(owner)
+    assert counts.max() > 1.4 * counts.min()
+
+
+def test_contacts_that_appear_move_the_cut(position):
+    contacts = np.zeros(COUNT, np.int64)
+    first, second = owner_of(position, contacts, (SLOW_STEP, SLOW_STEP))
+    assert (first == second).all()
+    contacts[position[:, 0] < 2.0] = 6
+    assert np.bincount(owner_of(position, contacts)[0]).min() < 0.45 * COUNT
+
+
+def test_measured_times_move_the_cut(position):
+    contacts = np.full(COUNT, 4)
+    first, second = owner_of(position, contacts, (2.0 * SLOW_STEP, SLOW_STEP))
+    assert abs(np.bincount(first)[0] - COUNT // 2) <= 1
+    # Rank 0 needs twice the time per particle: n0 * 4/3 = n1 * 2/3 + (particles of rank 0 that move) * 4/3.
+    assert abs(np.bincount(second)[0] - 3 * COUNT // 8) <= 2
+
+
+def test_small_imbalance_does_not_move_the_cut(position):
+    contacts = np.full(COUNT, 4)
+    first, second = owner_of(position, contacts, (1.15 * SLOW_STEP, SLOW_STEP))
+    assert (first == second).all()
+
+
+def test_times_of_launches_alone_do_not_move_the_cut(position):
+    contacts = np.full(COUNT, 4)
+    first, second = owner_of(position, contacts, (2e-4, 1e-4))
+    assert (first == second).all()
+
+
+def test_costs_are_limited_and_need_the_times_of_all_ranks():
+    weights = np.array([100, 100])
+    assert relative_costs(weights, np.array([0.01, np.inf])).tolist() == [1.0, 1.0]
+    assert relative_costs(np.array([200, 0]), np.array([0.01, 0.01])).tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(relative_costs(weights, np.array([0.03, 0.01])), [1.5, 0.5])
+    assert relative_costs(np.array([100, 1000]), np.array([0.1, 0.01]))[0] == 2.0
