@@ -3,7 +3,9 @@
     python tools/bench.py                                  granflow only
     python tools/bench.py --peers liggghts,lammps,yade     granflow and other codes on the same cases, in turn
     python tools/bench.py --phases                         time per phase and the limits of this machine
-    python tools/bench.py --page                           write tools/benchmark/README.md from the newest results
+    python tools/bench.py --ranks --peers liggghts,lammps  as the first, also granflow on MPI ranks
+    python tools/bench.py --page                           write tools/benchmark/README.md, and the table of
+                                                           docs/pages/guides/parallel.md, from the newest results
 
 Each measurement runs in a separate process. Nothing is installed: for a missing code, the package is reported.
 """
@@ -17,7 +19,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from benchmark import ours, page, phases, rounds, tables
+from benchmark import ours, page, phases, ranks_page, rounds, tables
 from benchmark.cases import SIZES
 from benchmark.codes import PEERS, missing
 from benchmark.machine import machine
@@ -44,7 +46,7 @@ def main() -> None:
         return
     options = arguments()
     if options.page is not None:
-        print(f"Written: {page.write(RESULTS, options.page)}")
+        print(f"Written: {page.write(RESULTS, options.page)}, {ranks_page.write(RESULTS)}")
         return
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.work or Path(temporary)
@@ -55,7 +57,7 @@ def main() -> None:
 def measure_codes(options: argparse.Namespace, folder: Path) -> None:
     """Measures granflow and the available peers, in turn."""
     peers = available_peers(options)
-    out = options.out or RESULTS / f"{default_name()}.json"
+    out = options.out or RESULTS / f"{default_name()}{'-ranks' if options.ranks else ''}.json"
     result = rounds.measure_all(options, rounds.gather_cases(options, folder), peers, folder, out)
     print(tables.text(result))
     print(f"Written: {out}")
@@ -117,7 +119,7 @@ def arguments() -> argparse.Namespace:
     add("--no-hopper", dest="hopper", action="store_false", help="skip the hopper")
     add("--laws", nargs="+", choices=LAWS, help="contact models of granflow (all); peers use Hertz-Mindlin")
     add("--threads", type=int, nargs="+", help="threads or MPI ranks (1 2)")
-    add("--ranks", action="store_true", help="also granflow with one MPI rank in place of each thread")
+    add("--ranks", action="store_true", help="also granflow on MPI ranks, one in place of each thread")
     add("--rounds", type=int, help="rounds (3)")
     add("--precision", choices=("f64", "f32", "mixed"), default="f64", help="precision of granflow (f64)")
     add(

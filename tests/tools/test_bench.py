@@ -204,6 +204,34 @@ def test_page_contains_the_measurements(tmp_path, monkeypatch):
     assert "- yade is skipped." in text and "(results/one.json)" in text
 
 
+def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
+    import json
+
+    ranks_page, machine = module("ranks_page"), module("machine")
+    guide = tmp_path / "parallel.md"
+    guide.write_text(f"# Ranks\n\n{ranks_page.BEGIN}old\n{ranks_page.END}\nLimits\n")
+    assert ranks_page.write(tmp_path, guide) is None
+    result = {"kind": "ranks", "machine": machine.machine(), "notes": []}
+    result["points"] = points(granflow_hertz=[40e6, 42e6], liggghts_hertz=[20e6])
+    measured = {"rebuilds": 9.5, "exchange": 0.041, "memory": 3e8}
+    result["points"].append(points(granflow_hertz=[36e6])[0] | measured | {"code": "granflow --mpi", "threads": 2})
+    (tmp_path / "ranks.json").write_text(json.dumps(result))
+    text = ranks_page.write(tmp_path, guide).read_text()
+    assert text.startswith("# Ranks\n") and text.endswith("Limits\n") and "old" not in text
+    assert "| 10 | granflow, 2 ranks | 36.00 (36.00-36.00) | 4.1 % | 9.5 | 300 |" in text
+    assert "| 10 | granflow, 1 thread | 41.00 (40.00-42.00) |" in text
+    assert "| 10 | liggghts, 1 rank | 20.00" in text
+
+
+def test_the_guide_contains_the_newest_measurements_on_ranks(tmp_path):
+    """If this fails, run `python tools/bench.py --page`."""
+    ranks_page, bench = module("ranks_page"), Path(module("ranks_page").__file__).parent
+    guide = tmp_path / "parallel.md"
+    guide.write_text(ranks_page.GUIDE.read_text(encoding="utf-8"), encoding="utf-8")
+    written = ranks_page.write(bench / "results", guide)
+    assert written.read_text(encoding="utf-8") == ranks_page.GUIDE.read_text(encoding="utf-8")
+
+
 def test_missing_results_are_reported_in_one_sentence(tmp_path):
     with pytest.raises(SystemExit, match="There are no results"):
         module("page").write(tmp_path, "")

@@ -24,6 +24,8 @@ load; those of granflow, YADE and the hopper have not been scanned on an idle ma
 """
 GRANFLOW, ON_RANKS = "granflow", "granflow --mpi"
 """Names of this code with threads and with MPI ranks."""
+BOUND = ("--bind-to", "core")
+"""Options of mpirun for granflow: each rank on a core, as the mpirun of Open MPI binds those of the other codes."""
 SLOW = {"yade"}
 LARGEST_COUNT = {"yade": 200_000}
 """Largest particle count of a code: above it, the setup takes minutes."""
@@ -100,7 +102,7 @@ def prepare(case: Case, folder: Path, peers: list[str]) -> Path:
 def child(order: dict[str, Any], folder: Path, ranks: int = 0) -> ProcessResult:
     """Runs a job in a new granflow process, or on MPI ranks; see `bench.py --child`."""
     wheel = Path(sys.executable).with_name("mpirun")
-    launcher = [str(wheel) if wheel.exists() else "mpirun", "-n", str(ranks)] if ranks else []
+    launcher = [str(wheel) if wheel.exists() else "mpirun", *BOUND, "-n", str(ranks)] if ranks else []
     return run([*launcher, sys.executable, str(BENCH), "--child", json.dumps(order)], folder, MPI if ranks else None)
 
 

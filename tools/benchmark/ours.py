@@ -4,6 +4,7 @@ import resource
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -140,11 +141,11 @@ def measured(simulation: Any, case: Case, warm: int, window: int) -> dict[str, A
     first_step = time.time()
     simulation.step(warm)
     timing = simulation.engine.timing
-    above, rebuilds = mass_above(simulation), timing.rebuild_count
+    above, before = mass_above(simulation), replace(timing)
     began = time.perf_counter()
     simulation.step(window)
     seconds = time.perf_counter() - began
-    rebuilds, memory = timing.rebuild_count - rebuilds, peak_memory()
+    rebuilds, memory = timing.rebuild_count - before.rebuild_count, peak_memory()
     span = window * cases.TIME_STEP
     return {
         "rate": window * case.count / seconds,
@@ -155,7 +156,7 @@ def measured(simulation: Any, case: Case, warm: int, window: int) -> dict[str, A
         "contacts": particle_contacts(simulation) / case.count,
         "rebuilds": 1000.0 * rebuilds / window,
         "mass_flow": (above - mass_above(simulation)) / span if case.kind == "hopper" else None,
-        "exchange": timing.exchange / timing.advance,
+        "exchange": (timing.exchange - before.exchange) / seconds,
     }
 
 

@@ -76,7 +76,7 @@ def codes_and_laws(
     hertz_only = case.kind == "hopper" or case.count >= HERTZ_ONLY_COUNT
     laws = [law for law in options.laws if law == "hertz" or not hertz_only] or options.laws[:1]
     yield from (("granflow", law) for law in laws)
-    if options.ranks and threads > 1:
+    if options.ranks:
         yield codes.ON_RANKS, laws[0]
     yield from ((peer, "hertz") for peer in peers if case.count <= LARGEST_COUNT.get(peer, case.count))
 
@@ -107,7 +107,8 @@ def measure_all(
     minutes = options.rounds * sum(seconds_for(job) for group in groups for job in group) / 60.0
     print(f"{options.rounds} round(s) of {sum(map(len, groups))} measurements: about {minutes:.0f} min.", flush=True)
     notes = skipped_cases(found, peers)
-    result: dict[str, Any] = {"kind": "peers", "machine": machine(), "notes": notes, "points": []}
+    kind = "ranks" if options.ranks else "peers"
+    result: dict[str, Any] = {"kind": kind, "machine": machine(), "notes": notes, "points": []}
     folders = {case.name: codes.prepare(case, folder, peers) for case in found}
     for number in range(1, options.rounds + 1):
         for group in groups:
