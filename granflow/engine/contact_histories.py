@@ -1,5 +1,6 @@
 """Contact histories by particle id: in checkpoints, and for particles that migrate between MPI ranks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,18 +161,22 @@ class HistoryTable:
         chunk = np.arange(len(histories.count)) // self._state.plan.chunk_size
         return int(np.bincount(chunk, weights=histories.count, minlength=1).max())
 
-    def write(self, histories: Histories, rows: np.ndarray) -> None:
+    def write(self, parts: Sequence[Histories], rows: np.ndarray) -> None:
         """Write histories where a rank looks for them when it fills neighbor lists.
 
-        rows:  (k,) for each particle by index, the one of `histories` that it is; WITHOUT_HISTORY if none
+        parts:  histories, counted one part after the other
+        rows:   (k,) for each particle by index, which of the histories it has; WITHOUT_HISTORY if none
         """
-        state, end = self._state, np.append(np.cumsum(histories.count), 0)
-        if not histories.values:
+        state, first = self._state, 0
+        if not state.neighbors.history:
             return
-        begin = end - np.append(histories.count, 0)
-        state.built(_range_table).put(slice(0, len(rows)), {"begin": begin[rows], "end": end[rows]})
-        entries = {"partner": histories.partner} | histories.values
-        state.built(_saved_table).put(slice(0, len(histories.partner)), entries)
+        count = np.concatenate([*(part.count for part in parts), [0]])  # the last one is that of WITHOUT_HISTORY
+        end = np.cumsum(count)
+        state.built(_range_table).put(slice(0, len(rows)), {"begin": (end - count)[rows], "end": end[rows]})
+        for part in parts:
+            last = first + len(part.partner)
+            state.built(_saved_table).put(slice(first, last), {"partner": part.partner} | part.values)
+            first = last
 
 
 def _state_table(state: State) -> FieldTable:

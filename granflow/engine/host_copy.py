@@ -50,7 +50,7 @@ class FieldTable:
     def take(self, entries: np.ndarray | slice) -> dict[str, np.ndarray]:
         """Arrays (k,) or (k, components) by name in the types of the fields: the entries with these indices (k,)."""
         if self._in_memory:
-            return {name: np.array(memory[entries], order="C") for name, memory in self._memory.items()}
+            return {name: _copied_entries(memory, entries) for name, memory in self._memory.items()}
         entries = _indices(entries)
         tables = self._tables(len(entries))
         if len(entries):
@@ -84,6 +84,12 @@ class FieldTable:
 def _indices(entries: np.ndarray | slice) -> np.ndarray:
     """The indices (k,) of entries."""
     return np.arange(entries.start, entries.stop) if isinstance(entries, slice) else entries
+
+
+def _copied_entries(memory: Any, entries: np.ndarray | slice) -> np.ndarray:
+    """Contiguous copy of entries of a field; indices copy them anyway."""
+    found = memory[entries]
+    return np.array(found, order="C") if isinstance(entries, slice) else np.ascontiguousarray(found)
 
 
 def _put_entries(memory: Any, entries: np.ndarray | slice, values: np.ndarray) -> None:

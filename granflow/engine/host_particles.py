@@ -42,9 +42,10 @@ class HostParticles:
         arrays, position = self.arrays, periodic_box.wrap(self.arrays["position_at_rebuild"])
         return replace(self, arrays=arrays | {"position": position, PRESENT: arrays["position"]})
 
-    def at_present(self) -> "HostParticles":
-        """The particles of `at_rebuild` at their present positions."""
-        return replace(self, arrays=self.arrays | {"position": self.arrays[PRESENT]})
+
+def at_present(arrays: Arrays) -> Arrays:
+    """Arrays of particles of `HostParticles.at_rebuild`, at their present positions."""
+    return arrays | {"position": arrays[PRESENT]}
 
 
 def joined_arrays(parts: list[Arrays]) -> Arrays:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.engine.contact_histories import WITHOUT_HISTORY, Histories, joined_histories
-from granflow.engine.host_particles import HostParticles, joined_arrays, joined_particles
+from granflow.engine.contact_histories import WITHOUT_HISTORY, Histories
+from granflow.engine.host_particles import HostParticles, joined_particles
 from granflow.engine.neighbor.cells import BLOCK_SIDE
 from granflow.engine.ranks import Arrays
 from granflow.parallel.communicator import Communicator
@@ -16,13 +16,13 @@ class Share:
     """The n particles of a rank after a migration, in the order that they have on the device from now on.
 
     arrays:     saved fields (n, ...)
-    histories:  of the particles before the migration, then of the arrived ones
-    rows:       (n,) which of `histories` each particle is
+    histories:  of the particles before the migration, and of the arrived ones
+    rows:       (n,) which of `histories` each particle is, counted over both
     left, left_id:  (m,) which of `histories` the particles are that other ranks own now, and their ids, ascending
     """
 
     arrays: Arrays
-    histories: Histories
+    histories: tuple[Histories, Histories]
     rows: np.ndarray
     left: np.ndarray
     left_id: np.ndarray
@@ -48,16 +48,23 @@ def migrated(
     ranks = range(communicator.size)
     leaving = [present[to_rank == rank] if rank != communicator.rank else present[:0] for rank in ranks]
     arrived = joined_particles(communicator.exchanged([particles.of(rows) for rows in leaving]))
-    rows = present[to_rank == communicator.rank]
-    arrays, histories, ids = particles.arrays, particles.histories, particles.arrays["id"]
-    if arrived.count:
-        rows = np.concatenate([rows, particles.count + np.arange(arrived.count)])
-        arrays = joined_arrays([arrays, arrived.arrays])
-        histories = joined_histories([histories, arrived.histories])
-    rows = rows[cell_order(arrays["position"][rows].astype(float), cell_size)]
+    rows = np.concatenate([present[to_rank == communicator.rank], particles.count + np.arange(arrived.count)])
+    before, ids = particles.arrays, particles.arrays["id"]
+    rows = rows[cell_order(_rows_of_both(before["position"], arrived.arrays["position"], rows), cell_size)]
+    arrays = {name: _rows_of_both(values, arrived.arrays[name], rows) for name, values in before.items()}
     left = np.concatenate(leaving)
     left = left[np.argsort(ids[left])]
-    return Share({name: values[rows] for name, values in arrays.items()}, histories, rows, left, ids[left])
+    return Share(arrays, (particles.histories, arrived.histories), rows, left, ids[left])
+
+
+def _rows_of_both(first: np.ndarray, second: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Rows (k, ...) of two arrays (n, ...) and (m, ...), counted over both; m is small."""
+    if not len(first):
+        return second[rows]
+    found = first.take(rows, axis=0, mode="clip")
+    in_second = np.flatnonzero(rows >= len(first))
+    found[in_second] = second[rows[in_second] - len(first)]
+    return found
 
 
 def cell_order(position: np.ndarray, cell_size: float) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from granflow.engine.contact_histories import WITHOUT_HISTORY, HistoryTable
 from granflow.engine.engine import DELETED_FIELDS
 from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles, joined_arrays
+from granflow.engine.host_particles import HostParticles, at_present, joined_arrays
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cell_sort import KEPT_REACH
 from granflow.engine.neighbor.deletion import find_farthest, remaining
@@ -88,8 +88,7 @@ class RankRebuild:
         earlier = particles.at_rebuild(state.plan.periodic_box.at(state.clock.time))
         none = {name: values[:0] for name, values in earlier.arrays.items()}
         share = self._list(earlier, np.arange(earlier.count), none, pose, workers, KEPT_REACH)
-        own = HostParticles(share.arrays, share.histories).at_present()
-        saved_particle_table(state).put(slice(0, state.count), own.arrays)
+        saved_particle_table(state).put(slice(0, state.count), at_present(share.arrays))
         self.ghosts.update()
 
     def ids(self) -> np.ndarray:
@@ -164,7 +163,7 @@ class RankRebuild:
         state, count, ghost_count = self._state, len(share.rows), len(ghosts["id"])
         first = -(-count // state.plan.chunk_size) * state.plan.chunk_size
         end = first + ghost_count
-        self._grow_arrays(end + len(deleted["id"]), len(share.histories.partner))
+        self._grow_arrays(end + len(deleted["id"]), sum(len(each.partner) for each in share.histories))
         state.count, self.ghosts.first = count, first
         state.cell_sort.owned_count[0], state.cell_sort.ghost_first[0] = count, first
         gap = np.full(first - count, count - 1)
