@@ -32,7 +32,8 @@ class Box:
 def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
     """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.cell_sort.bounds_phase`."""
     plan = state.plan
-    speed = np.linalg.norm(arrays["velocity"].astype(float), axis=1)
+    velocity = arrays["velocity"].astype(float)
+    speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
     reach = np.minimum(0.5 * plan.skin + speed * reach_time, plan.reach_max)
     if reach_time == KEPT_REACH:
         reach = arrays["reach"].astype(float)
@@ -42,8 +43,9 @@ def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
 
 def box_of(position: np.ndarray, reach: np.ndarray) -> Box:
     """Box of particles at positions (n, 3) [m]; without particles nothing is within its reach."""
-    low = position.min(axis=0, initial=np.inf)
-    return Box(low, position.max(axis=0, initial=-np.inf), float(reach.max(initial=0.0)))
+    low = np.array([along.min(initial=np.inf) for along in position.T])
+    high = np.array([along.max(initial=-np.inf) for along in position.T])
+    return Box(low, high, float(reach.max(initial=0.0)))
 
 
 def within(state: State, box: Box, position: np.ndarray, reach: np.ndarray) -> np.ndarray:

@@ -75,10 +75,11 @@ def cell_order(position: np.ndarray, cell_size: float) -> np.ndarray:
     """
     if not len(position):
         return np.zeros(0, np.int64)
-    block, inside = np.divmod(((position - position.min(axis=0)) / cell_size).astype(np.int64), BLOCK_SIDE)
+    # Axis by axis: numpy reduces contiguous arrays (n, 3) over n twenty times more slowly.
+    cells = [((along - along.min()) / cell_size).astype(np.int64) for along in position.T]
     number = np.zeros(len(position), np.int64)
-    for axis, count in zip((2, 1, 0), block.max(axis=0)[::-1] + 1, strict=True):
-        number = number * count + block[:, axis]
-    for axis in (2, 1, 0):
-        number = number * BLOCK_SIDE + inside[:, axis]
+    for block in (cell // BLOCK_SIDE for cell in reversed(cells)):
+        number = number * (block.max() + 1) + block
+    for cell in reversed(cells):
+        number = number * BLOCK_SIDE + cell % BLOCK_SIDE
     return np.argsort(number, kind="stable")
