@@ -69,7 +69,8 @@ def inserted():
     del walls["high_z"]
     walls["low_x"]["appears_at"] = 1e-3
     domain = {"min": [-0.001, -0.01, -0.01], "max": [0.05, 0.05, 0.07], "on_exit": "delete"}
-    return bed(1500, {"rain": rain}, walls=walls, domain=domain)
+    leaving = particle_group([[0.02, 0.02, 0.066]], 0.004, velocity=[0.0, 0.0, 3.0])
+    return bed(1500, {"rain": rain, "leaving": leaving}, walls=walls, domain=domain)
 
 
 def periodic():
