@@ -148,7 +148,7 @@ class RankRebuild:
     def _contacts(self, particles: HostParticles) -> np.ndarray:
         """Number (n,) of contacts in the list of each particle; without a history, that of candidate pairs."""
         neighbors, listed = self._state.neighbors, self._state.count
-        if neighbors.history or particles.count < listed:
+        if neighbors.history:
             return particles.histories.count
         found = np.zeros(particles.count, np.int64)
         found[:listed] = neighbors.list_end.to_numpy()[:listed] - neighbors.list_begin.to_numpy()[:listed]
