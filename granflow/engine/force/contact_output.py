@@ -125,7 +125,8 @@ class ContactOutput:
         entries["force"][turned] *= -1.0
         for slot in state.neighbors.history:
             entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(entries[slot].dtype)
-        return owner, partner, entries
+        # -0.0 + 0.0 is 0.0: the sign of a zero depends on the list that contains the pair.
+        return owner, partner, {name: each + 0.0 for name, each in entries.items()}
 
     def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
         """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.
