@@ -347,4 +347,4 @@ def test_page_with_plots_is_smaller_than_6_mb(run):
     assert main(["report", str(run)]) == 0
     page = run / "report.html"
     assert 1e6 < page.stat().st_size < 6e6
-    assert "Plotly.newPlot" in page.read_text(encoding="utf-8")
+    assert "Plotly.react" in page.read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable
 from granflow.studies.figures import COLORS
+from granflow.studies.report.packed import deflated
 from granflow.studies.report.series import PlotGroup, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -16,8 +17,8 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 DIGITS = 6
 """Significant digits of a number in the page."""
 
-AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
-"""Style of axes in the format of plotly."""
+AXIS = {"showline": True, "zeroline": False, "exponentformat": "SI"}
+"""Style of axes in the format of plotly; the script of the page adds its colors, also to text and background."""
 
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
@@ -40,12 +41,12 @@ class Plot(NamedTuple):
 
 
 def library() -> str:
-    """JavaScript of plotly, to embed in the page; empty if plotly is not installed."""
+    """JavaScript of plotly as compressed text, to embed in the page; empty if plotly is not installed."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
         return ""
-    return get_plotlyjs()
+    return deflated(get_plotlyjs().encode())
 
 
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
@@ -65,9 +66,7 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
     return {
         "height": HEIGHT,
         "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
-        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        "font": {"family": "system-ui, sans-serif", "size": 13},
         "hovermode": "x unified",
         "showlegend": has_legend,
         "legend": LEGEND,
@@ -104,7 +103,7 @@ def plain(values: np.ndarray) -> list[float]:
 def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
     """A line and a name at the start of each stage if the run has several."""
     stages = series.stages if len(series.stages) > 1 else ()
-    line = {"color": "#999", "width": 1, "dash": "dot"}
+    line = {"width": 1, "dash": "dot"}
     rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
     return {
         "shapes": [
@@ -113,7 +112,7 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
         ],
         "annotations": [
             {"x": time, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "left",
-             "yanchor": "bottom", "font": {"size": 11, "color": "#555"}, "yshift": STAGE_ROW * row}
+             "yanchor": "bottom", "font": {"size": 11}, "yshift": STAGE_ROW * row}
             for (time, name), row in zip(stages, rows, strict=True)
         ],
     }  # fmt: skip

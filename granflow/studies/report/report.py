@@ -11,6 +11,7 @@ from granflow.studies.report import sections
 from granflow.studies.report.field_grids import field_content
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
+from granflow.studies.report.view import interactive_view
 
 
 def write_report(
@@ -43,6 +44,7 @@ def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
         record=record,
         plotly=script,
         pictures=pictures,
+        view_content=interactive_view(record) if pictures else None,
         state=sections.state_of(record),
         progress=sections.progress(record),
         warnings=sections.warnings(record),
