@@ -12,7 +12,7 @@ from granflow.studies.report.packed import deflated
 from granflow.studies.report.series import PlotGroup, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
-"""Line styles: one for each repetition of the colors."""
+"""Line styles: one for each repetition of the colors, or for each quantity of parts."""
 
 DIGITS = 6
 """Significant digits of a number in the page."""
@@ -55,7 +55,10 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     All columns of a group have the same unit; angles are shown in degrees.
     """
     per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
-    curves = [_curve(number, column, series, per_unit, shown) for number, column in enumerate(group.columns)]
+    curves = [
+        _curve(look, column, series, per_unit, shown)
+        for look, column in zip(_looks(group.columns), group.columns, strict=True)
+    ]
     unit = f" ({shown})" if shown else ""
     layout = {**curve_layout("time (s)", group.title + unit, len(curves) > 1), **_stage_marks(series)}
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
@@ -80,18 +83,37 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
     }
 
 
-def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str) -> dict[str, Any]:
+def _looks(columns: Sequence[SeriesColumn]) -> list[dict[str, Any]]:
+    """Color, line style and legend group of each column in the format of plotly.
+
+    Several quantities of several parts, such as components of forces on walls: a color per part, a line style per
+    quantity, and a click on a name hides the part. Otherwise a color per column.
+    """
+    names = [column.name.partition(".") for column in columns]
+    quantities, parts = (list(dict.fromkeys(name[k] for name in names)) for k in (0, 2))
+    if len(quantities) > 1 and len(parts) > 1 and "" not in parts:
+        places = [(parts.index(part), quantities.index(quantity), {"legendgroup": part}) for quantity, _, part in names]
+    else:
+        places = [(number, number // len(COLORS), {}) for number in range(len(columns))]
+    return [
+        {"line": {"color": COLORS[color % len(COLORS)], "width": 1.8, "dash": DASHES[dash % len(DASHES)]}, **group}
+        for color, dash, group in places
+    ]
+
+
+def _curve(
+    look: dict[str, Any], column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str
+) -> dict[str, Any]:
     """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its unit."""
     time, values = thinned(series.time, per_unit * column.values)
-    rounds = number // len(COLORS)
     return {
         "type": "scatter",
         "mode": "lines" if len(time) > 1 else "markers",
         "name": column.text,
         "x": plain(time),
         "y": plain(values),
-        "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
         "hovertemplate": f"%{{y:.5~g}} {unit}",
+        **look,
     }
 
 

@@ -145,7 +145,9 @@ async function showView(figure) {
     draw();
   }).observe(canvas);
   header.quantities.forEach((each, k) => color.add(new Option(each.title, k)));
-  time.max = time.value = header.frames.length - 1;
+  const counts = header.frames.map((each) => each.count), most = Math.max(...counts);
+  time.max = counts.length - 1;
+  time.value = counts.findLastIndex((count) => 2 * count >= most);
   for (const input of [color, time, walls]) input.addEventListener("input", update);
   part(".play").onclick = play;
   part(".reset").onclick = () => { orbit.reset(); redraw(); };
