@@ -61,6 +61,6 @@ def add_compare(verbs: Any) -> None:
     add_out(parser, "out/SCENE_compare")
     add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
     add("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
-    add("--full", action="store_true", help="use all particles (default: at most 8000)")
+    add("--full", action="store_true", help="use all particles (default: at most 4000)")
     add("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
     add_machine(parser)

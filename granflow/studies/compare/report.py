@@ -28,7 +28,7 @@ from granflow.studies.page import write_study
 from granflow.studies.tables import PageTable, stacked
 
 PAGE = "compare.html"
-MOST_PARTICLES = 8000
+MOST_PARTICLES = 4000
 """Particle count to which a scene is reduced, unless all particles are requested.
 
 Four contact models then run within minutes on two cores.
