@@ -1,6 +1,6 @@
-"""Renders the gallery pictures of the documentation from finished runs of the shipped scenes.
+"""Renders the gallery pictures and films of the documentation from finished runs of the shipped scenes.
 
-python tools/gallery_pictures.py out/hopper out/drum ...     writes docs/pages/gallery/NAME.jpg for each
+python tools/gallery_pictures.py out/hopper out/drum ...     writes docs/pages/gallery/NAME.jpg and NAME.mp4 for each
 
 A directory has the name of its scene; `dosta2024_drum` is the scene dosta2024/drum.
 """
@@ -10,11 +10,21 @@ import sys
 import tempfile
 from pathlib import Path
 
+from imageio_ffmpeg import get_ffmpeg_exe
 from PIL import Image
+
+from granflow.studies.render.frames import frames_of
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pages" / "gallery"
 SIZE = "640x480"
 JPEG_QUALITY = 85
+FILM_SIZE = "400x300"
+FILM_SECONDS, FILM_RATE = 5.0, 20
+"""Duration of a film [s], and its largest number of pictures per second."""
+FILM_CODING = ["-c:v", "libx264", "-preset", "veryslow", "-crf", "32", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+"""Arguments of ffmpeg: 50 to 250 kB for a film."""
+STILL = ("--frame", "0.9s", "0.8s")
+"""Arguments of OPTIONS that films do not have."""
 OPTIONS = {
     "hopper": ["--frame", "0.9s", "--cut"],
     "flat_silo": ["--frame", "0.8s", "--cut"],
@@ -38,13 +48,25 @@ OPTIONS = {
 
 
 def render(directory: Path) -> None:
-    """Renders the picture of one run."""
+    """Renders the picture and the film of one run."""
+    PICTURES.mkdir(exist_ok=True)
+    options = OPTIONS[directory.name]
     with tempfile.TemporaryDirectory() as folder:
-        image = Path(folder) / "picture.png"
-        arguments = [*OPTIONS[directory.name], "--size", SIZE, "--out", str(image)]
-        subprocess.run([sys.executable, "-m", "granflow", "render", str(directory), *arguments], check=True)
-        PICTURES.mkdir(exist_ok=True)
+        image, film = Path(folder) / "picture.png", Path(folder) / "film.mp4"
+        granflow_render(directory, image, [*options, "--size", SIZE])
         Image.open(image).convert("RGB").save(PICTURES / f"{directory.name}.jpg", quality=JPEG_QUALITY)
+        fps = len(frames_of(directory)) / FILM_SECONDS
+        moving = [each for each in options if each not in STILL]
+        granflow_render(directory, film, [*moving, "--film", "--fps", f"{fps:.3g}", "--size", FILM_SIZE])
+        filters = ["-vf", f"fps={min(fps, FILM_RATE):.3g}"]
+        coded = [get_ffmpeg_exe(), "-y", "-loglevel", "error", "-i", str(film), *filters, *FILM_CODING]
+        subprocess.run([*coded, str(PICTURES / f"{directory.name}.mp4")], check=True)
+
+
+def granflow_render(directory: Path, out: Path, arguments: list[str]) -> None:
+    """Calls `granflow render`."""
+    command = [sys.executable, "-m", "granflow", "render", str(directory), *arguments, "--out", str(out)]
+    subprocess.run(command, check=True)
 
 
 if __name__ == "__main__":

@@ -145,5 +145,6 @@ def test_gallery_contains_every_scene_and_every_comparison():
     rows = YAML(typ="safe").load(gallery.COMPARISONS)
     assert all(f"`{name}`" in page or f"granflow example {name}\n" in page for name in gallery.names())
     assert sum(page.count(" ".join(row["granflow"].split())) >= 1 for row in rows) == len(rows)
-    pictures = set(re.findall(r"\(gallery/([\w.]+)\)", page))
+    pictures = set(re.findall(r"""[("]gallery/([\w.]+)[)"]""", page))
     assert pictures == {path.name for path in gallery.PICTURES.iterdir()}
+    assert sum(path.stat().st_size for path in gallery.PICTURES.iterdir()) < 4e6, "the repository stays small"

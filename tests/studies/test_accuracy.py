@@ -226,10 +226,10 @@ def test_files_without_and_with_matplotlib(lines, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_page_contains_two_figures(lines, tmp_path):
+def test_page_contains_three_figures(lines, tmp_path):
     pytest.importorskip("matplotlib")
     write_two_bodies(tmp_path, TwoBodyStudy(tuple(lines), (), 0.01))
-    assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 2
+    assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 3
 
 
 @pytest.mark.parametrize(

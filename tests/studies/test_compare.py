@@ -106,6 +106,8 @@ def test_an_aborted_run_is_a_result(found, table):
     )
     assert "more than numerics.max_overlap" in stopped["linear_reference"].stopped
     assert np.isnan(table["end of stage", "linear_reference"][0])
+    assert np.isnan(table["steps needed", "linear_reference"][1]), "an aborted run has no ratios"
+    assert table["steps needed", "hertz"][1] > 0.0
     assert "linear of 0.1 m/s was aborted at" in (out / "compare.html").read_text(encoding="utf-8")
 
 

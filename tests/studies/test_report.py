@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from observers.snapshots import particles_of, snapshot_of
+from scene_runner import SCENES
 from studies.test_page import BalanceParser
 
 from granflow import read_run
@@ -22,12 +24,13 @@ from granflow.studies.page import environment, page_text
 from granflow.studies.render.frames import frames_of
 from granflow.studies.report import pictures as pictures_module
 from granflow.studies.report import sections as report_sections
+from granflow.studies.report import topics as report_topics
 from granflow.studies.report.field_grids import field_content
 from granflow.studies.report.pictures import _caption, course_pictures, pictures_for
 from granflow.studies.report.plots import plot_of
 from granflow.studies.report.report import report_text
-from granflow.studies.report.sections import table_of
 from granflow.studies.report.series import MOST_POINTS, groups_of, thinned
+from granflow.studies.report.topics import table_of
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
 HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"
@@ -197,17 +200,17 @@ def test_table_of_many_quantities_has_them_as_rows():
 
 def test_energies_without_a_budget_are_quantities_over_time(run):
     """The run has an energy budget; without its columns, the page shows the kinetic energy without a section."""
-    assert "Energy budget" in [topic.title for topic in report_sections.topics(read_run(run), with_plots=True)]
+    assert "Energy budget" in [topic.title for topic in report_topics.topics(read_run(run), with_plots=True)]
     rows = [line.split(",")[:4] for line in (run / "timeseries.csv").read_text().splitlines()]
     assert rows[0][3] == "kinetic_energy [J]"
     (run / "timeseries.csv").write_text("\n".join(map(",".join, rows)) + "\n")
-    (topic,) = [each for each in report_sections.topics(read_run(run), with_plots=True) if not each.tables]
+    (topic,) = [each for each in report_topics.topics(read_run(run), with_plots=True) if not each.tables]
     assert topic.title == "Over time" and "kinetic energy" in topic.plots[-1].caption.lower()
 
 
 def test_energies_of_rounding_are_zero(run):
     values = np.array([2e-6, 1e-6, 6e-43])
-    (table,) = report_sections._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
+    (table,) = report_topics._energy_budget([SeriesColumn("kinetic_energy", "J", values)])
     assert table.rows[0][1:4] == ["2e-06", "0", "2e-06"]
 
 
@@ -216,13 +219,61 @@ def test_angles_are_in_rad_and_degrees(run):
     result["metrics"] = {"left": {"angle_of_repose": 0.4, "angle_of_repose_error": 0.01}}
     result["totals"]["angle_of_repose.left"] = 0.4
     (run / "result.json").write_text(json.dumps(result))
-    tables = {table.caption: table for table in report_sections.remaining_numbers(read_run(run))}
-    assert tables["metrics in result.json"].rows == [["left", "0.4 (22.92 deg)", "0.01 (0.573 deg)"]]
+    record = read_run(run)
+    tables = {table.caption: table for table in report_sections.remaining_numbers(record)}
+    (metrics,) = next(each for each in report_topics.topics(record, True) if each.title == "Metrics").tables
+    assert metrics.rows == [["left", "0.4 (22.92 deg)", "0.01 (0.573 deg)"]]
     assert ("angle of repose.left", "0.4", "rad (22.92 deg)") in tables["totals in result.json"].rows
     series = TimeSeriesTable(np.arange(2.0), np.array(["", ""]), (), ())
     (group,) = groups_of([SeriesColumn("angle_of_repose.left", "rad", np.array([0.0, np.pi / 4]))])
     figure = plot_of(group, series).figure
     assert figure["data"][0]["y"] == [0.0, 45.0] and figure["layout"]["yaxis"]["title"]["text"].endswith("(deg)")
+
+
+def test_small_components_of_forces_are_folded(run):
+    """A component is in the plot or in the folded table; a row of the table is hidden if it is small for all walls."""
+    names = [f"wall_force_{axis}.{wall}" for wall in ("lid", "floor") for axis in "xyz"]
+    values = [5.0, 0.01, 0.0, 0.02, -0.03, -7.0]
+    head = "time [s],stage," + ",".join(f"{name} [N]" for name in names)
+    (run / "timeseries.csv").write_text(f"{head}\n0,a,{','.join(map(str, values))}\n1,a,0,0,0,0,0,0\n")
+    result = json.loads((run / "result.json").read_text())
+    forces = {"wall_force_x": 1.0, "wall_force_y": 2.0, "wall_force_z": 3.0, **{f"q{k}": k for k in range(8)}}
+    result["wall_forces"] = {"lid": forces, "floor": forces}
+    (run / "result.json").write_text(json.dumps(result))
+    topic = next(each for each in report_topics.topics(read_run(run), True) if each.title == "Wall forces")
+    assert [row[0] for row in topic.folded[0].rows] == [
+        "wall force y, lid",
+        "wall force x, floor",
+        "wall force y, floor",
+    ]
+    (plot,) = topic.plots
+    curves = plot.figure["data"]
+    assert [curve["name"] for curve in curves] == ["wall force x, lid", "wall force z, floor"]
+    assert [curve["legendgroup"] for curve in curves] == ["lid", "floor"]
+    assert curves[0]["line"]["dash"] != curves[1]["line"]["dash"]
+    heads = [row[0] for row in topic.tables[0].rows]
+    assert heads[:2] == ["wall force x (N)", "wall force z (N)"] and len(heads) == 10
+    assert "largest absolute values" in text_of(run)
+
+
+def test_expected_quantities_are_first(run):
+    """Quantities with a unit have a plot under their expectations; a plot of these alone is not repeated."""
+    shutil.copy(SCENES / "two_spheres.yaml", run / "scene_as_run.yaml")
+    record = read_run(run)
+    assert not record.scene_problem
+    topic = report_topics.expected_topic(record, with_plots=True)
+    names = [curve["name"] for plot in topic.plots for curve in plot.figure["data"]]
+    assert names == ["kinetic energy"]
+    text = text_of(run)
+    assert text.index("it is <2>.") < text.index("Energies in J.")
+    assert captions_of(record).count("Energy (J) over time") == 1, "kinetic energy is also in the plot of energies"
+    (run / "timeseries.csv").write_text("time [s],stage,kinetic_energy [J]\n0,a,1\n1,a,2\n")
+    assert captions_of(read_run(run)) == []
+
+
+def captions_of(record):
+    """Captions of the plots below those of the expectations."""
+    return [plot.caption for topic in report_topics.topics(record, with_plots=True) for plot in topic.plots]
 
 
 def test_thinned_curve_keeps_peaks_and_ends():
@@ -347,4 +398,4 @@ def test_page_with_plots_is_smaller_than_6_mb(run):
     assert main(["report", str(run)]) == 0
     page = run / "report.html"
     assert 1e6 < page.stat().st_size < 6e6
-    assert "Plotly.newPlot" in page.read_text(encoding="utf-8")
+    assert "Plotly.react" in page.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Gallery page: every shipped scene with picture, description, published values and command."""
+"""Gallery page: every shipped scene with picture, film, description, published values and command."""
 
 import json
 from collections.abc import Iterator
@@ -20,7 +20,9 @@ INTRODUCTION = """\
 
 Every scene is part of the package: `granflow examples` lists them, `granflow example hopper` copies one with its
 meshes to the working directory, and `granflow run hopper.yaml` runs it. In a clone: `python3 tools/dev.py run
-scenes/hopper.yaml`. The pictures are rendered by `granflow render`, colored by speed unless stated otherwise.
+scenes/hopper.yaml`. The pictures and films are rendered by `granflow render`, colored by speed unless stated
+otherwise; a film takes five seconds and states its speed relative to the simulated time. `granflow report` shows a run
+in 3D.
 [Published values](scenes.md) lists the sources of the comparisons and all expected results.
 """
 
@@ -61,14 +63,22 @@ def _section(name: str) -> str:
     """Title, description, comparisons with published values and command of a scene."""
     scene = _scene(name)
     lines = [f"## {scene['title']} {{ #{_identifier(name)} }}\n", f"{scene['description']}\n"]
-    if picture_of(name).exists():
-        lines.append(f"![{scene['title']}](gallery/{picture_of(name).name}){{ width=360 }}\n")
+    lines.append(_picture_or_film(name, scene["title"]))
     lines.append(f"```text\ngranflow example {name}\ngranflow run {Path(name).name}.yaml\n```\n")
     if rows := list(_comparisons(name)):
         lines.append(table(("case", "granflow", "published or theory", "deviation"), rows))
     if wall_clock := json.loads(RESULTS.read_text(encoding="utf-8")).get(name, {}).get("wall_clock"):
         lines.append(f"Run time: {wall_clock:.0f} s.\n")
     return "\n".join(lines)
+
+
+def _picture_or_film(name: str, title: str) -> str:
+    """The film of a scene, with its picture before it plays; the picture alone or nothing if there is no file."""
+    picture, film = picture_of(name), picture_of(name).with_suffix(".mp4")
+    if film.exists():
+        files = f'poster="gallery/{picture.name}" src="gallery/{film.name}"'
+        return f'<video controls loop muted playsinline preload="none" width="480" title="{title}" {files}></video>\n'
+    return f"![{title}](gallery/{picture.name}){{ width=360 }}\n" if picture.exists() else ""
 
 
 def _comparisons(name: str) -> Iterator[tuple[str, ...]]:

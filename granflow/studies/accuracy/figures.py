@@ -77,6 +77,23 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
     return draw
 
 
+def draw_convergence(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
+    """Draw the restitution error in double precision against the steps per collision: a line per contact model."""
+    exact = [line for line in lines if line.precision == "f64"] or list(lines)
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        for line in exact:
+            error = np.maximum(line.error("restitution"), LOWEST)
+            _plot(axes, line, exact, line.steps, error, label=_with_order(line, exact))
+        loglog(
+            axes, target, xlabel="time steps per collision", ylabel="restitution error", ylim=(0.3 * LOWEST, HIGHEST)
+        )
+        axes.legend(loc="lower left")
+
+    return draw
+
+
 def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
     """Draw every error against the time step in double precision, with its fitted order."""
     exact = [line for line in lines if line.precision == "f64"] or list(lines)

@@ -12,7 +12,7 @@ from granflow.studies.accuracy.axes import (
     StudiedLaw,
 )
 from granflow.studies.accuracy.collisions import REPEATS
-from granflow.studies.accuracy.figures import draw_quantities, draw_work
+from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
 from granflow.studies.accuracy.orders import fitted_order
 from granflow.studies.accuracy.points import (
     QUANTITIES,
@@ -81,6 +81,7 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
         tables={"accuracy.csv": columns([point for line in lines for point in line.points])},
         figures={
             "accuracy.png": Drawing(draw_work(lines, target), 3.9),
+            "accuracy_convergence.png": Drawing(draw_convergence(lines, target), 3.0),
             "accuracy_quantities.png": Drawing(draw_quantities(lines), 5.6),
         },
         study=study,

@@ -11,6 +11,7 @@ from math import inf
 
 import numpy as np
 
+from granflow import plan_for
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PRECISIONS
 from granflow.studies.accuracy.points import worker_process
@@ -183,12 +184,14 @@ def _run(
 ) -> _Runs:
     """Run all seeds and measure the restitution error in the given process.
 
-    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite.
+    `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite. The time
+    step of the adaptive family is that of the plan, which other limits can shorten.
     """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
     outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
     error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()
-    return _Runs(family.name, precision, share, share * phase, error, outcomes)
+    time_step = plan_for(stepped.scene()).time_step if family.name == "adaptive" else share * phase
+    return _Runs(family.name, precision, share, time_step, error, outcomes)
 
 
 def _study(

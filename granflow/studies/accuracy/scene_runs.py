@@ -11,7 +11,7 @@ from granflow import RunError, Scene, SceneError, Simulation, Snapshot, load_sce
 from granflow.studies.restitution import QUICK_VELOCITIES
 from granflow.studies.restitution import measure as measure_restitution
 
-MAX_PARTICLES = 250
+MAX_PARTICLES = 1000
 """Particle count to which a scene is reduced, unless all particles are requested."""
 SAMPLES = 200
 """Number of samples for the means of center of mass and coordination number."""

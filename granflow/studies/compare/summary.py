@@ -4,7 +4,7 @@ Values are stored in SI units and converted for display only.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -40,12 +40,14 @@ Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
 class SummaryRow:
     """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
 
-    The first run is the reference of the ratios. `at_stage`: whether the value refers to the densest stage.
+    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run, or does not
+    depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the densest stage.
     """
 
     name: str
     unit: Unit
     values: tuple[float, ...]
+    is_complete: tuple[bool, ...]
     at_stage: bool = False
 
     @property
@@ -55,9 +57,10 @@ class SummaryRow:
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """Ratios to the value of the first run; nan if that is 0 or missing."""
-        first = self.values[0]
-        return tuple(value / first if first else float("nan") for value in self.values)
+        """Ratios to the value of the first run; nan if that is 0 or missing, or for part of a run."""
+        first = self.values[0] if self.is_complete[0] else 0.0
+        pairs = zip(self.values, self.is_complete, strict=True)
+        return tuple(value / first if first and is_complete else float("nan") for value, is_complete in pairs)
 
 
 def densest_stage(runs: Sequence[VariantRun]) -> str:
@@ -93,15 +96,16 @@ def _height(stage: str, column: int, run: VariantRun) -> float:
     return run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column] if np.isfinite(time) else float("nan")
 
 
+TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.plan.time_step)
+
 COST: tuple[Quantity, ...] = (
-    ("time step", MICROSECOND, lambda run: run.plan.time_step),
     ("simulated time", SECOND, lambda run: run.time),
     ("steps needed", NUMBER, lambda run: run.step_count),
     ("wall time of steps", SECOND, lambda run: run.seconds),
     ("wall time per step", MICROSECOND, lambda run: run.seconds / max(run.step_count, 1)),
     ("compilation", SECOND, lambda run: run.compile_seconds),
 )
-"""Time step, steps and wall time."""
+"""Steps and wall time."""
 
 CONTACTS: tuple[Quantity, ...] = (
     ("maximum overlap/radius", PERCENT, lambda run: np.nanmax(run.columns["overlap_largest"])),
@@ -141,13 +145,21 @@ def _bed(stage: str) -> tuple[Quantity, ...]:
 def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all zero."""
 
+    is_complete = tuple(not run.stopped for run in runs)
+
     def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
         return [
-            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), at_stage)
+            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), is_complete, at_stage)
             for name, unit, number in quantities
         ]
 
-    found = [*rows(COST), *rows(map(_flow, runs[0].meters)), *rows(_bed(densest_stage(runs)), at_stage=True)]
+    time_steps = [replace(row, is_complete=(True,) * len(runs)) for row in rows([TIME_STEP])]
+    found = [
+        *time_steps,
+        *rows(COST),
+        *rows(map(_flow, runs[0].meters)),
+        *rows(_bed(densest_stage(runs)), at_stage=True),
+    ]
     found += [*rows(CONTACTS), *(row for row in rows(ENERGIES) if any(row.values)), *rows([ENERGY_ERROR])]
     return [row for row in found if np.isfinite(row.values).any()]
 

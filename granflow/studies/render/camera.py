@@ -84,7 +84,7 @@ def view_of(text: str, gravity: np.ndarray | None = None) -> View:
     Up is the axis opposite to `gravity` (z without gravity); front, side and top are parallel projections, the others
     perspective. Raises GranflowError for another text.
     """
-    up = _upward(gravity)
+    up = upward(gravity)
     right = np.array([0.0, 1.0, 0.0]) if up[0] else np.array([1.0, 0.0, 0.0])
     into = np.cross(up, right)
     flat = {"front": (-into, up), "side": (right, up), "top": (up, into)}
@@ -98,7 +98,7 @@ def view_of(text: str, gravity: np.ndarray | None = None) -> View:
     return _upright(toward, up, into)
 
 
-def _upward(gravity: np.ndarray | None) -> np.ndarray:
+def upward(gravity: np.ndarray | None) -> np.ndarray:
     """Unit vector (3,) along the axis that is most nearly opposite to gravity."""
     up = np.zeros(3)
     if gravity is None or not np.any(gravity):

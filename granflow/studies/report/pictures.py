@@ -96,9 +96,14 @@ def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
     return sorted(path for path in found if path.stat().st_mtime >= last)
 
 
+def filled_frames(frames: Sequence[Frame]) -> Sequence[Frame]:
+    """Frames with particles; all frames if none has."""
+    return [frame for frame in frames if not is_empty(frame.particles)] or frames
+
+
 def course_pictures(directory: Path, frames: Sequence[Frame]) -> list[CoursePicture]:
     """Pictures of the course of a run: evenly spaced frames with particles, and the one with the most contacts."""
-    filled = [frame for frame in frames if not is_empty(frame.particles)] or frames
+    filled = filled_frames(frames)
     indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
     chosen = [filled[index] for index in indices]
     found = [CoursePicture(frame, PictureStyle()) for frame in chosen]

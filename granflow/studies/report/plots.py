@@ -8,16 +8,17 @@ import numpy as np
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable
 from granflow.studies.figures import COLORS
+from granflow.studies.report.packed import deflated
 from granflow.studies.report.series import PlotGroup, thinned
 
 DASHES = ("solid", "dash", "dot", "dashdot")
-"""Line styles: one for each repetition of the colors."""
+"""Line styles: one for each repetition of the colors, or for each quantity of parts."""
 
 DIGITS = 6
 """Significant digits of a number in the page."""
 
-AXIS = {"showline": True, "linecolor": "#444", "gridcolor": "#e6e6e6", "zeroline": False, "exponentformat": "SI"}
-"""Style of axes in the format of plotly."""
+AXIS = {"showline": True, "zeroline": False, "exponentformat": "SI"}
+"""Style of axes in the format of plotly; the script of the page adds its colors, also to text and background."""
 
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
@@ -40,12 +41,12 @@ class Plot(NamedTuple):
 
 
 def library() -> str:
-    """JavaScript of plotly, to embed in the page; empty if plotly is not installed."""
+    """JavaScript of plotly as compressed text, to embed in the page; empty if plotly is not installed."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
         return ""
-    return get_plotlyjs()
+    return deflated(get_plotlyjs().encode())
 
 
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
@@ -54,7 +55,10 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     All columns of a group have the same unit; angles are shown in degrees.
     """
     per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
-    curves = [_curve(number, column, series, per_unit, shown) for number, column in enumerate(group.columns)]
+    curves = [
+        _curve(look, column, series, per_unit, shown)
+        for look, column in zip(_looks(group.columns), group.columns, strict=True)
+    ]
     unit = f" ({shown})" if shown else ""
     layout = {**curve_layout("time (s)", group.title + unit, len(curves) > 1), **_stage_marks(series)}
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
@@ -65,9 +69,7 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
     return {
         "height": HEIGHT,
         "margin": {"l": 70, "r": 20, "t": 45, "b": 50},
-        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        "font": {"family": "system-ui, sans-serif", "size": 13},
         "hovermode": "x unified",
         "showlegend": has_legend,
         "legend": LEGEND,
@@ -81,18 +83,37 @@ def curve_layout(x_title: str, y_title: str, has_legend: bool) -> dict[str, Any]
     }
 
 
-def _curve(number: int, column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str) -> dict[str, Any]:
+def _looks(columns: Sequence[SeriesColumn]) -> list[dict[str, Any]]:
+    """Color, line style and legend group of each column in the format of plotly.
+
+    Several quantities of several parts, such as components of forces on walls: a color per part, a line style per
+    quantity, and a click on a name hides the part. Otherwise a color per column.
+    """
+    names = [column.name.partition(".") for column in columns]
+    quantities, parts = (list(dict.fromkeys(name[k] for name in names)) for k in (0, 2))
+    if len(quantities) > 1 and len(parts) > 1 and "" not in parts:
+        places = [(parts.index(part), quantities.index(quantity), {"legendgroup": part}) for quantity, _, part in names]
+    else:
+        places = [(number, number // len(COLORS), {}) for number in range(len(columns))]
+    return [
+        {"line": {"color": COLORS[color % len(COLORS)], "width": 1.8, "dash": DASHES[dash % len(DASHES)]}, **group}
+        for color, dash, group in places
+    ]
+
+
+def _curve(
+    look: dict[str, Any], column: SeriesColumn, series: TimeSeriesTable, per_unit: float, unit: str
+) -> dict[str, Any]:
     """One curve in the format of plotly, with at most `series.MOST_POINTS` points, in `per_unit` of its unit."""
     time, values = thinned(series.time, per_unit * column.values)
-    rounds = number // len(COLORS)
     return {
         "type": "scatter",
         "mode": "lines" if len(time) > 1 else "markers",
         "name": column.text,
         "x": plain(time),
         "y": plain(values),
-        "line": {"color": COLORS[number % len(COLORS)], "width": 1.8, "dash": DASHES[rounds % len(DASHES)]},
         "hovertemplate": f"%{{y:.5~g}} {unit}",
+        **look,
     }
 
 
@@ -104,7 +125,7 @@ def plain(values: np.ndarray) -> list[float]:
 def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
     """A line and a name at the start of each stage if the run has several."""
     stages = series.stages if len(series.stages) > 1 else ()
-    line = {"color": "#999", "width": 1, "dash": "dot"}
+    line = {"width": 1, "dash": "dot"}
     rows = _rows([time for time, _ in stages], series.time[-1] - series.time[0])
     return {
         "shapes": [
@@ -113,7 +134,7 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
         ],
         "annotations": [
             {"x": time, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "left",
-             "yanchor": "bottom", "font": {"size": 11, "color": "#555"}, "yshift": STAGE_ROW * row}
+             "yanchor": "bottom", "font": {"size": 11}, "yshift": STAGE_ROW * row}
             for (time, name), row in zip(stages, rows, strict=True)
         ],
     }  # fmt: skip

@@ -11,6 +11,8 @@ from granflow.studies.report import sections
 from granflow.studies.report.field_grids import field_content
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
+from granflow.studies.report.topics import NO_LIBRARY, expected_topic, topics
+from granflow.studies.report.view import interactive_view
 
 
 def write_report(
@@ -24,7 +26,7 @@ def write_report(
     record = read_run(directory)
     script = library()
     if not script:
-        report(sections.NO_LIBRARY)
+        report(NO_LIBRARY)
     path = out or directory / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as scratch:
@@ -43,11 +45,12 @@ def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
         record=record,
         plotly=script,
         pictures=pictures,
+        view_content=interactive_view(record) if pictures else None,
         state=sections.state_of(record),
         progress=sections.progress(record),
         warnings=sections.warnings(record),
-        expectations=sections.expectations(record),
-        topics=sections.topics(record, bool(script)),
+        expected=expected_topic(record, bool(script)),
+        topics=topics(record, bool(script)),
         field_tables=fields[0],
         field_plots=fields[1],
         timings=sections.timings(record),

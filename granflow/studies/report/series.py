@@ -72,3 +72,16 @@ def thinned(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tu
         ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
         finite = np.unique([finite[0], *ends, finite[-1]])
     return time[finite], values[finite]
+
+
+def largest_of(column: SeriesColumn) -> float:
+    """Largest absolute value of a column; values that are not finite are ignored."""
+    return float(np.max(np.abs(column.values[np.isfinite(column.values)]), initial=0.0))
+
+
+def negligible_columns(columns: Sequence[SeriesColumn], share: float) -> list[SeriesColumn]:
+    """Columns whose largest absolute value is below `share` of that of all columns of the same unit."""
+    largest: dict[str, float] = {}
+    for column in columns:
+        largest[column.unit] = max(largest.get(column.unit, 0.0), largest_of(column))
+    return [column for column in columns if largest_of(column) < share * largest[column.unit]]

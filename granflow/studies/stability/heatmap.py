@@ -41,7 +41,7 @@ TITLES = {
 
 def heatmap(outcomes: Sequence[CaseOutcome]) -> Drawing:
     """Drawing of all families."""
-    return Drawing(lambda figure: _draw(figure, outcomes), 13.5)
+    return Drawing(lambda figure: _draw(figure, outcomes), 8.6)
 
 
 def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:

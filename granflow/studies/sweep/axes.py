@@ -6,7 +6,7 @@ from typing import Any
 
 from granflow.studies.report.plots import AXIS, LEGEND, STANDOFF
 
-FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1a1a1a"}
+FONT = {"family": "system-ui, sans-serif", "size": 13}
 
 COLOR_SCALE = "Viridis"
 
@@ -17,8 +17,8 @@ CELL_WIDTH, GAP = 1.0, 0.28
 def layout(height: int, **more: Any) -> dict[str, Any]:
     """Layout of a plot with the style of all pages; `height` [pixels]."""
     return {
-        "height": height, "margin": {"l": 70, "r": 20, "t": 30, "b": 55}, "font": FONT, "paper_bgcolor": "white",
-        "plot_bgcolor": "white", "showlegend": False, "legend": LEGEND, "hovermode": "closest",
+        "height": height, "margin": {"l": 70, "r": 20, "t": 30, "b": 55}, "font": FONT,
+        "showlegend": False, "legend": LEGEND, "hovermode": "closest",
         **more,
     }  # fmt: skip
 

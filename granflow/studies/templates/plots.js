@@ -21,15 +21,43 @@ function makeRoom(plot, layout) {
   if (plot._fullLayout.height !== room.height) Plotly.relayout(plot, room);
 }
 
-for (const figure of document.querySelectorAll("figure.plot")) {
-  const {data, layout} = JSON.parse(figure.querySelector("script").textContent), plot = figure.querySelector("div");
-  const narrow = plot.clientWidth < NARROW;
+// The figure in the colors of the page; a black curve has the color of the text.
+function themed({data, layout}) {
+  const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
+  const found = structuredClone({data, layout}), page = color("page"), text = color("text");
+  Object.assign(found.layout, {paper_bgcolor: page, plot_bgcolor: page, font: {...layout.font, color: text},
+    hoverlabel: {bgcolor: page, font: {color: text}}});
+  for (const key of Object.keys(layout).filter((each) => /^[xy]axis/.test(each))) {
+    Object.assign(found.layout[key], {linecolor: color("axis"), gridcolor: color("grid")});
+  }
+  (found.layout.annotations ?? []).forEach((each) => { each.font = {...each.font, color: color("faint")}; });
+  (found.layout.shapes ?? []).forEach((each) => { each.line = {...each.line, color: color("faint")}; });
+  for (const {line} of found.data) if (line?.color === "#000000") line.color = text;
+  return found;
+}
+
+function drawPlot(figure) {
+  const content = JSON.parse(figure.querySelector("script").textContent), {layout} = content;
+  const plot = figure.querySelector("div"), narrow = plot.clientWidth < NARROW;
   if (narrow && layout.xaxis2 && !layout.grid) stack(layout);
   if (narrow) layout.font.size = 11;
   const look = {responsive: true, displaylogo: false, showSendToCloud: false,
     displayModeBar: narrow ? false : "hover"};
-  Plotly.newPlot(plot, data, structuredClone(layout), look).then(() => {
-    makeRoom(plot, layout);
-    plot.on("plotly_afterplot", () => makeRoom(plot, layout));
-  });
+  const draw = () => {
+    const {data, layout} = themed(content);
+    return Plotly.react(plot, data, layout, look).then(() => makeRoom(plot, content.layout));
+  };
+  draw().then(() => plot.on("plotly_afterplot", () => makeRoom(plot, layout)));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 }
+
+inflated(document.querySelector("#plotly").textContent).then((bytes) => {
+  const script = document.createElement("script");
+  script.textContent = new TextDecoder().decode(bytes);
+  document.head.append(script);
+  document.querySelectorAll("figure.plot").forEach(drawPlot);
+}).catch((error) => {
+  for (const plot of document.querySelectorAll("figure.plot > div")) {
+    plot.textContent = `The plot cannot be shown: ${error.message}.`;
+  }
+});
