@@ -54,7 +54,7 @@ if TYPE_CHECKING:
         RectangleFace,
     )
     from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
-    from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation, Vibration
+    from granflow.scene.schema.motions import FreeWall, Rotation, Servo, SurfaceVelocity, Translation, Vibration
     from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
     from granflow.scene.schema.output import Checkpoints, FlowMeter, Output
     from granflow.scene.schema.particles import Group
@@ -146,6 +146,7 @@ __all__ = [
     "Snapshot",
     "Stage",
     "StopRun",
+    "SurfaceVelocity",
     "Translation",
     "UniformSizes",
     "Vibration",
@@ -231,6 +232,7 @@ _LOCATIONS = {
     "Snapshot": "granflow.snapshot:Snapshot",
     "Stage": "granflow.scene.schema.stages:Stage",
     "StopRun": "granflow.errors:StopRun",
+    "SurfaceVelocity": "granflow.scene.schema.motions:SurfaceVelocity",
     "Translation": "granflow.scene.schema.motions:Translation",
     "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
     "Vibration": "granflow.scene.schema.motions:Vibration",

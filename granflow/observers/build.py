@@ -41,7 +41,13 @@ def observers_for(
         unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
         observers.append(
             WallFrames(
-                out_dir, output.interval, triangles_of_walls, writer=writer, measured=measured, unbounded=unbounded
+                out_dir,
+                output.interval,
+                triangles_of_walls,
+                writer=writer,
+                measured=measured,
+                unbounded=unbounded,
+                has_belts=plan.features.surface_velocity,
             )
         )
     if out_dir is not None:

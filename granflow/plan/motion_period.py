@@ -33,7 +33,7 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
 def _period(motion: Vibration | Rotation, scene: Scene) -> float:
     """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
     if isinstance(motion, Rotation):
-        rate = abs(motion.angular_velocity)
+        rate = max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity or 0.0))
     else:
         amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
         rate = rate if amplitude else 0.0

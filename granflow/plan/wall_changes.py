@@ -48,7 +48,12 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
             f"walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
-    features = replace(plan.features, moving_walls=plan.features.moving_walls or bool(wall.motions))
+    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    features = replace(
+        plan.features,
+        moving_walls=plan.features.moving_walls or bool(wall.motions),
+        surface_velocity=plan.features.surface_velocity or has_belt,
+    )
     return replace(plan, walls=walls, features=features, wall_speed=max(plan.wall_speed, speed))
 
 
@@ -78,7 +83,10 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
     return motion.speed_bound(motions, reach)
 
 
-MOTIONS = {kind.__name__: kind for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.Placement)}
+MOTIONS = {
+    kind.__name__: kind
+    for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.SurfaceVelocity, motion.Placement)
+}
 """Motions that checkpoints contain, by name."""
 
 

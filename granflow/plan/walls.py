@@ -13,7 +13,7 @@ from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
 from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
-from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation
+from granflow.scene.schema.motions import FreeWall, Rotation, Servo, SurfaceVelocity, Translation
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
@@ -119,6 +119,11 @@ def is_force_controlled(wall: AnyWall) -> bool:
     return any(isinstance(each, Servo | FreeWall) for each in wall.motion)
 
 
+def has_belt(wall: AnyWall) -> bool:
+    """True if the wall has a surface velocity."""
+    return any(isinstance(each, SurfaceVelocity) for each in wall.motion)
+
+
 def planned_motions(motions: Sequence[Any], gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
     """Motions of a wall of the scene in numeric form: unit vectors, SI units.
 
@@ -132,10 +137,13 @@ def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     start, end = given.start or 0.0, inf if given.end is None else given.end
     if isinstance(given, Servo | FreeWall):
         return motion.ForceControlled(start, end)
-    if isinstance(given, Translation):
-        return motion.Translation(given.velocity, start, end)
+    if isinstance(given, Translation | SurfaceVelocity):
+        kind = motion.Translation if isinstance(given, Translation) else motion.SurfaceVelocity
+        initial = given.initial_velocity or (0.0, 0.0, 0.0)
+        return kind(given.velocity, start, end, initial, given.ramp_duration or 0.0)
     if isinstance(given, Rotation):
-        return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
+        rates = given.angular_velocity, start, end, given.initial_angular_velocity or 0.0, given.ramp_duration or 0.0
+        return motion.Rotation(given.point, _unit_vector(given.axis), *rates)
     amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
 
@@ -179,7 +187,7 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
 
 
 def surface_speed(scene: Scene) -> float:
-    """Largest surface speed [m/s] of all walls, including rotation in place and force-controlled motion.
+    """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled motion.
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
@@ -192,7 +200,8 @@ def surface_speed(scene: Scene) -> float:
             sum(_force_controlled_speed(scene, each, extent) for each in wall.motion if is_in_stage(each, stage.name))
             for stage in scene.schedule
         )
-        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
+        belt = sum(motion.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
+        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + belt + controlled_speed)
     return fastest
 
 

@@ -68,6 +68,7 @@ def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene
 ACTIVE = {
     "inserted": "totals.deleted_count",
     "outlet": "totals.outlet_count.hole",
+    "belt": "totals.wall_work",
     "servo": "totals.wall_displacement.high_z",
     "free": "totals.wall_displacement.high_z",
     "sheared": "totals.boundary_work",
@@ -87,6 +88,7 @@ ACTIVE = {
         "outlet",
         "servo",
         "free",
+        "belt",
         "adaptive",
         "sheared",
         "mixed",

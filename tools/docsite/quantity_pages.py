@@ -76,6 +76,7 @@ def vtu_arrays() -> str:
         Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
         Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
         Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
+        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
     ]
     return "\n".join(
         [

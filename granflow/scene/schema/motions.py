@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.faults import Fault, redundant, whole
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
 from granflow.scene.schema.fields import Model, Names, choose_by_key
 
 
@@ -82,19 +82,49 @@ class Vibration(TimedMotion):
         return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
 
 
-class Translation(TimedMotion):
-    """Motion at a constant velocity [m/s].
+class VelocityMotion(TimedMotion):
+    """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
+
+    velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
+    ramp_duration: q.PositiveTime | None = Field(
+        None, description="time from the start during which the velocity changes linearly [s]; default: no ramp"
+    )
+    initial_velocity: q.VelocityVector | None = Field(
+        None, description="with ramp_duration: velocity at the start [m/s]; default: 0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial velocity without ramp."""
+        yield from super().faults()
+        if self.initial_velocity is not None and self.ramp_duration is None:
+            yield missing(("ramp_duration",), "the time during which initial_velocity changes to velocity")
+
+
+class Translation(VelocityMotion):
+    """Motion at a velocity [m/s] that is constant, or changes linearly during a ramp at the start.
 
     >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
     Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
     """
 
     kind: Literal["translation"] = Field("translation", description="kind of motion")
-    velocity: q.VelocityVector = Field(description="velocity [m/s]")
+
+
+class SurfaceVelocity(VelocityMotion):
+    """Velocity of the surface along itself, as of a conveyor belt: the surface moves, the shape of the wall does not.
+
+    The velocity is given in the frame of the wall and rotates with it. At each contact the component in the contact
+    plane acts, v - (v . n) n: friction drives the particles, and faces across the velocity are at rest.
+
+    >>> gf.SurfaceVelocity(velocity=["1 m/s", 0, 0], ramp_duration="0.2 s").velocity
+    (1.0, 0.0, 0.0)
+    """
+
+    kind: Literal["surface_velocity"] = Field("surface_velocity", description="kind of motion")
 
 
 class Rotation(TimedMotion):
-    """Rotation about an axis at a constant rate, right-handed.
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at the start.
 
     The torque on the wall refers to `point`.
 
@@ -105,7 +135,22 @@ class Rotation(TimedMotion):
     kind: Literal["rotation"] = Field("rotation", description="kind of motion")
     point: q.Point = Field(description="a point on the axis [m]")
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
-    angular_velocity: q.AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
+    angular_velocity: q.AngularVelocity = Field(
+        description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
+    )
+    ramp_duration: q.PositiveTime | None = Field(
+        None, description="time from the start during which the rate changes linearly [s]; default: no ramp"
+    )
+    initial_angular_velocity: q.AngularVelocity | None = Field(
+        None, description="with ramp_duration: angular velocity at the start [rad/s]; default: 0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial angular velocity without ramp."""
+        yield from super().faults()
+        if self.initial_angular_velocity is not None and self.ramp_duration is None:
+            reason = "the time during which initial_angular_velocity changes to angular_velocity"
+            yield missing(("ramp_duration",), reason)
 
 
 class Servo(TimedMotion):
@@ -157,5 +202,5 @@ class FreeWall(TimedMotion):
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
-MotionSpec = Annotated[Vibration | Translation | Rotation | Servo | FreeWall, choose_by_key("kind")]
+MotionSpec = Annotated[Vibration | Translation | Rotation | SurfaceVelocity | Servo | FreeWall, choose_by_key("kind")]
 """Any kind of motion; the key `kind` selects it."""
