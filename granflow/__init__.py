@@ -54,7 +54,15 @@ if TYPE_CHECKING:
         RectangleFace,
     )
     from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
-    from granflow.scene.schema.motions import FreeWall, Rotation, Servo, SurfaceVelocity, Translation, Vibration
+    from granflow.scene.schema.motions import (
+        FreeWall,
+        Rotation,
+        Servo,
+        SurfaceVelocity,
+        TableMotion,
+        Translation,
+        Vibration,
+    )
     from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
     from granflow.scene.schema.output import Checkpoints, FlowMeter, Output
     from granflow.scene.schema.particles import Group
@@ -147,6 +155,7 @@ __all__ = [
     "Stage",
     "StopRun",
     "SurfaceVelocity",
+    "TableMotion",
     "Translation",
     "UniformSizes",
     "Vibration",
@@ -233,6 +242,7 @@ _LOCATIONS = {
     "Stage": "granflow.scene.schema.stages:Stage",
     "StopRun": "granflow.errors:StopRun",
     "SurfaceVelocity": "granflow.scene.schema.motions:SurfaceVelocity",
+    "TableMotion": "granflow.scene.schema.motions:TableMotion",
     "Translation": "granflow.scene.schema.motions:Translation",
     "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
     "Vibration": "granflow.scene.schema.motions:Vibration",

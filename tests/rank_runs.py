@@ -120,6 +120,8 @@ def on_belt():
     }  # fmt: skip
     turning = {"kind": "rotation", "point": [0.0, 0.021, 0.021], "axis": [1, 0, 0], "angular_velocity": 50.0}
     walls["low_x"]["motion"] = [turning, {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4}]
+    table = {"kind": "table", "direction": [-1, 0, 0], "times": [0, 1e-3, 2e-3], "displacements": [0, 2e-4, 1e-4]}
+    walls["high_x"]["motion"] = table
     return bed(1500, walls=walls)
 
 

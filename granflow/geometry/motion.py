@@ -15,6 +15,8 @@ from math import inf
 
 import numpy as np
 
+from granflow.geometry.motion_table import TableRotation, TableTranslation
+
 
 @dataclass(frozen=True)
 class Vibration:
@@ -108,7 +110,16 @@ class Placement:
     end: float = inf
 
 
-Motion = Vibration | Translation | Rotation | SurfaceVelocity | ForceControlled | Placement
+Motion = (
+    Vibration
+    | Translation
+    | Rotation
+    | TableTranslation
+    | TableRotation
+    | SurfaceVelocity
+    | ForceControlled
+    | Placement
+)
 """Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a placement."""
 
 
@@ -146,7 +157,7 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
     for motion in motions:
-        if isinstance(motion, Vibration | Translation | SurfaceVelocity):
+        if isinstance(motion, Vibration | Translation | TableTranslation | SurfaceVelocity):
             displacement, rate = displacement_and_rate(motion, times)
             if isinstance(motion, SurfaceVelocity):
                 surface_velocity += rate
@@ -184,7 +195,7 @@ def placement_at(motions: Sequence[Motion], time: float) -> Placement:
 
 
 def displacement_and_rate(
-    motion: Vibration | Translation | SurfaceVelocity, times: np.ndarray
+    motion: Vibration | Translation | TableTranslation | SurfaceVelocity, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion at `times` (k,) [s].
 
@@ -197,6 +208,9 @@ def displacement_and_rate(
         rate = velocity - np.outer(remaining, change)
         return np.outer(time_active, velocity) - np.outer(lag, change), running[:, None] * rate
     direction = np.asarray(motion.direction, dtype=np.float64)
+    if isinstance(motion, TableTranslation):
+        displacement, rate = motion.table.at(time_active)
+        return np.outer(displacement, direction), np.outer(rate * running, direction)
     angle = motion.angular_frequency * time_active + motion.phase
     displacement = motion.amplitude * (np.sin(angle) - np.sin(motion.phase))
     rate = motion.amplitude * motion.angular_frequency * np.cos(angle) * running
@@ -216,16 +230,22 @@ def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * duration * (1.0 - remaining**2), remaining
 
 
-def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rotation_of(
+    motion: Rotation | TableRotation | None, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,) [s]."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)
-    time_active, final = elapsed(motion, times), motion.angular_velocity
-    change, (lag, remaining) = final - motion.initial_angular_velocity, ramp(motion.ramp_duration, time_active)
-    rotation = rotation_matrices(axis, final * time_active - change * lag)
-    angular_velocity = np.outer((final - change * remaining) * is_running(motion, times), axis)
-    return rotation, angular_velocity, np.asarray(motion.point, dtype=np.float64)
+    time_active = elapsed(motion, times)
+    if isinstance(motion, TableRotation):
+        angle, rate = motion.table.at(time_active)
+    else:
+        final, (lag, remaining) = motion.angular_velocity, ramp(motion.ramp_duration, time_active)
+        change = final - motion.initial_angular_velocity
+        angle, rate = final * time_active - change * lag, final - change * remaining
+    angular_velocity = np.outer(rate * is_running(motion, times), axis)
+    return rotation_matrices(axis, angle), angular_velocity, np.asarray(motion.point, dtype=np.float64)
 
 
 def rotation_matrices(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -252,33 +272,9 @@ def is_running(motion: Motion, times: np.ndarray) -> np.ndarray:
     return (motion.start <= times) & (times < motion.end)
 
 
-def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
+def single_rotation(motions: Sequence[Motion]) -> Rotation | TableRotation | None:
     """The rotation among the motions, or None. Raises ValueError for more than one."""
-    rotations = [motion for motion in motions if isinstance(motion, Rotation)]
+    rotations = [motion for motion in motions if isinstance(motion, Rotation | TableRotation)]
     if len(rotations) > 1:
         raise ValueError("A wall can have at most one rotation.")
     return rotations[0] if rotations else None
-
-
-def speed_bound(motions: Sequence[Motion], reach: float) -> float:
-    """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
-
-    The sum of |velocity| of translations, A w of vibrations and |angular velocity| `reach` of the rotation, with the
-    largest distance [m] from its axis of geometry that moves (`catalog.reach_about`). Force-controlled motions and
-    surface velocities are ignored.
-    """
-    bound = 0.0
-    for motion in motions:
-        if isinstance(motion, Translation):
-            bound += top_speed(motion)
-        elif isinstance(motion, Vibration):
-            bound += abs(motion.amplitude * motion.angular_frequency)
-        elif isinstance(motion, Rotation):
-            bound += max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity)) * reach
-    return bound
-
-
-def top_speed(motion: Translation | SurfaceVelocity) -> float:
-    """Largest speed [m/s] of the motion, at the start or at the end of its ramp."""
-    ends = np.linalg.norm([motion.velocity, motion.initial_velocity], axis=1)
-    return float(ends.max()) if motion.ramp_duration else float(ends[0])

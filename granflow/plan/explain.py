@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from math import ceil
 from typing import NamedTuple
 
+from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.plan.features import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
@@ -51,6 +52,7 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
+        "Tables of motions": _table_rows(plan),
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
@@ -139,6 +141,19 @@ def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
             controlled.kind,
             f"{', '.join(f'{name} {value}' for name, value in describe(controlled))} ({controlled.source})",
         )
+
+
+def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the motions from tables: duration, largest velocity and acceleration."""
+    for wall in plan.walls:
+        for motion in (each.given for each in wall.motions):
+            if isinstance(motion, TableTranslation | TableRotation):
+                table, length = motion.table, "m" if isinstance(motion, TableTranslation) else "rad"
+                largest = (
+                    f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
+                )
+                rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
+                yield ExplainRow(wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}")
 
 
 def _materials(plan: Plan) -> str:

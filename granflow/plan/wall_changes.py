@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.geometry import motion
+from granflow.geometry import motion, motion_speed
 from granflow.geometry.catalog import reach_about
 from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedMotion, PlannedWall
@@ -80,7 +80,7 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
             turned = np.array(motions[0].rotation).T
             point, axis = turned @ (point - np.array(motions[0].translation)), turned @ axis
         reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
-    return motion.speed_bound(motions, reach)
+    return motion_speed.speed_bound(motions, reach)
 
 
 MOTIONS = {

@@ -2,13 +2,20 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, missing, redundant, whole
-from granflow.scene.schema.fields import Model, Names, choose_by_key
+from granflow.scene.schema.fields import ListOf, Model, Names, choose_by_key
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.shapes import FileBelow
+
+_T = TypeVar("_T")
+_Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
+_Displacement = Annotated[float, Number("length")]
 
 
 class TimedMotion(Model):
@@ -153,6 +160,81 @@ class Rotation(TimedMotion):
             yield missing(("ramp_duration",), reason)
 
 
+TABLE_COLUMNS = {
+    "displacements": "length",
+    "velocities": "velocity",
+    "angles": "angle",
+    "angular_velocities": "angular_velocity",
+}
+"""Columns of a table of a motion besides the times, and their dimensions."""
+
+MOST_ROWS = 10_000
+"""Largest number of rows of a table; the resolved scene contains them."""
+
+
+class TableMotion(TimedMotion):
+    """Motion from a table, a CSV file or lists: times, and displacements, velocities, angles or angular velocities.
+
+    Times count from the start of the motion. Velocities are linear between rows; displacements and angles are
+    interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the first row. The
+    wall is at rest before the first and after the last row.
+
+    >>> gf.TableMotion(direction=[0, 0, 1], times=[0, "10 ms", "20 ms"], displacements=[0, "1 mm", 0]).displacements
+    (0.0, 0.001, 0.0)
+    """
+
+    kind: Literal["table"] = Field("table", description="kind of motion")
+    file: FileBelow | None = Field(
+        None,
+        description="CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
+        "time [ms], displacement [mm]; path relative to the folder of the scene, without ..",
+    )
+    direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
+    point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
+    axis: q.Direction | None = Field(None, description="with angles: direction of the axis, right-handed")
+    times: _Column[q.Time] | None = Field(None, description="times [s], ascending; instead of a file, or from it")
+    displacements: _Column[_Displacement] | None = Field(None, description="displacements along the direction [m]")
+    velocities: _Column[q.Velocity] | None = Field(None, description="velocities along the direction [m/s]")
+    angles: _Column[q.Angle] | None = Field(None, description="angles about the axis [rad]")
+    angular_velocities: _Column[q.AngularVelocity] | None = Field(None, description="rates about the axis [rad/s]")
+
+    @property
+    def column(self) -> str | None:
+        """Name of the given column besides the times; None if it is not known yet, or several are given."""
+        given = [name for name in TABLE_COLUMNS if getattr(self, name) is not None]
+        return given[0] if len(given) == 1 else None
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the table contains angles or angular velocities."""
+        return self.column is not None and self.column.startswith("ang")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the table is complete and a direction, or point and axis, belong to it."""
+        yield from super().faults()
+        if self.file is None and (self.times is None or self.column is None):
+            yield whole((), f"has no table: give file, or times and one of {', '.join(TABLE_COLUMNS)}")
+        elif self.times is not None and self.column is not None:
+            yield from self._row_faults(self.times, getattr(self, self.column))
+        if self.direction is None and (self.point is None or self.axis is None):
+            yield whole((), "has neither direction (translation) nor point and axis (rotation)")
+        elif self.direction is not None and (self.point is not None or self.axis is not None):
+            yield redundant("direction", "point or axis")
+        elif self.column is not None and self.rotates == (self.direction is not None):
+            needed = "point and axis" if self.rotates else "direction"
+            yield whole((), f"contains {self.column.replace('_', ' ')}, which require {needed}")
+
+    def _row_faults(self, times: tuple[float, ...], values: tuple[float, ...]) -> Iterator[Fault]:
+        if len(times) < 2 or len(times) > MOST_ROWS:
+            yield Fault(("times",), f"a table has 2 to {MOST_ROWS} rows")
+        if len(values) != len(times):
+            yield Fault((str(self.column),), f"{len(times)} values are expected, one for each of the times")
+        for index, (before, after) in enumerate(pairwise(times), start=1):
+            if after <= before:
+                yield Fault(("times", index), f"times must ascend, and the one before is {before:g} s")
+                return
+
+
 class Servo(TimedMotion):
     """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
 
@@ -202,5 +284,7 @@ class FreeWall(TimedMotion):
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
-MotionSpec = Annotated[Vibration | Translation | Rotation | SurfaceVelocity | Servo | FreeWall, choose_by_key("kind")]
+MotionSpec = Annotated[
+    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall, choose_by_key("kind")
+]
 """Any kind of motion; the key `kind` selects it."""

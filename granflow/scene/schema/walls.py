@@ -37,7 +37,11 @@ class Wall(Model):
             yield redundant("stages", "appears_at or vanishes_at", keep="either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
             yield Fault(("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s")
-        rotations = [i for i, motion in enumerate(self.motion) if motion.kind == "rotation"]
+        rotations = [
+            i
+            for i, motion in enumerate(self.motion)
+            if motion.kind == "rotation" or (motion.kind == "table" and motion.axis is not None)
+        ]
         for i in rotations[1:]:
             yield whole(("motion", i), "is a second rotation; a wall has at most one")
 
