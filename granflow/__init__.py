@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from granflow.scene.schema.run import Numerics, RunSettings
     from granflow.scene.schema.shapes import Box
     from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
-    from granflow.scene.schema.stages import Stage
+    from granflow.scene.schema.stages import Stage, StageCondition
     from granflow.scene.schema.walls import Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
@@ -153,6 +153,7 @@ __all__ = [
     "SlidingMetric",
     "Snapshot",
     "Stage",
+    "StageCondition",
     "StopRun",
     "SurfaceVelocity",
     "TableMotion",
@@ -240,6 +241,7 @@ _LOCATIONS = {
     "SlidingMetric": "granflow.scene.schema.analysis:SlidingMetric",
     "Snapshot": "granflow.snapshot:Snapshot",
     "Stage": "granflow.scene.schema.stages:Stage",
+    "StageCondition": "granflow.scene.schema.stages:StageCondition",
     "StopRun": "granflow.errors:StopRun",
     "SurfaceVelocity": "granflow.scene.schema.motions:SurfaceVelocity",
     "TableMotion": "granflow.scene.schema.motions:TableMotion",

@@ -30,7 +30,8 @@ def observers_for(
     """
     output = plan.output
     observers: list[Observer] = []
-    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls:
+    has_conditions = any(stage.until for stage in plan.stages)
+    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls or has_conditions:
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
         observers.append(ParticleFrames(out_dir, output.interval, writer=writer, reach=_max_coordinate(plan)))

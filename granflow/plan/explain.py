@@ -224,10 +224,10 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
 
     The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer time.
     """
-    ends_at_rest = any(stage.kinetic_energy_below is not None for stage in plan.stages)
+    ends_early = any(stage.has_condition for stage in plan.stages)
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
-    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_at_rest else ("", "")
+    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_early else ("", "")
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
@@ -240,7 +240,7 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _end_text(stage: PlannedStage) -> str:
-    prefix = "" if stage.kinetic_energy_below is None else "at most "
+    prefix = "at most " if stage.has_condition else ""
     return f"{prefix}{stage.longest:g}\N{NO-BREAK SPACE}s"
 
 

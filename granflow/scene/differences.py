@@ -13,7 +13,7 @@ ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "title, description and expectations",
     r"output\.(interval|timeseries_interval|particles|contacts|walls)": "selection and interval of the output",
     r"output\.checkpoint\..*": "interval and number of checkpoints",
-    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|max_duration)": "end of the run or of a stage",
+    r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": "end of run or stage",
     r"walls\.\w+\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
     r"walls\.\w+\.motion(\.|$).*": "motion of a wall from now on",
     r"pairs\.[\w-]+\.(friction|rolling_friction)": "friction, if it is above 0 before and after",
