@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 from docsite.markdown import code, table
-from docsite.scene_schema import si_unit
 from granflow import fields
 from granflow.fields import FieldSpec, Quantity
+from granflow.scene.reference.schema_keys import si_unit
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.schema.units import DIMENSIONS

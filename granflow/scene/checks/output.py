@@ -122,7 +122,10 @@ def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]
         yield path, quantity, part if dot else None
 
 
-RESULT_ONLY = {*RUN_QUANTITIES, "timings", "wall_force", "wall_torque", "wall_force_largest", "wall_pressure_largest"}
+RESULT_ONLY = {
+    *(*RUN_QUANTITIES, "timings", "wall_force", "wall_torque"),
+    *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
+}
 """Quantities of the result that rows of the time series do not have."""
 
 _WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
