@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from granflow.scene.schema.shapes import Box
     from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
     from granflow.scene.schema.stages import Stage, StageCondition
-    from granflow.scene.schema.walls import Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
+    from granflow.scene.schema.walls import BoxWall, Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
     from granflow.studies.calibration.calibrate import calibrate
@@ -90,6 +90,7 @@ __all__ = [
     "Box",
     "BoxOutlet",
     "BoxRegion",
+    "BoxWall",
     "CenterOfMassMetric",
     "Checkpoints",
     "ClassSizes",
@@ -178,6 +179,7 @@ _LOCATIONS = {
     "Box": "granflow.scene.schema.shapes:Box",
     "BoxOutlet": "granflow.scene.schema.outlets:BoxOutlet",
     "BoxRegion": "granflow.scene.schema.insertion:BoxRegion",
+    "BoxWall": "granflow.scene.schema.walls:BoxWall",
     "CenterOfMassMetric": "granflow.scene.schema.analysis:CenterOfMassMetric",
     "Checkpoints": "granflow.scene.schema.output:Checkpoints",
     "ClassSizes": "granflow.scene.schema.sizes:ClassSizes",
