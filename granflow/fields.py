@@ -248,7 +248,7 @@ ENERGY_BUDGET_QUANTITIES = _by_name(
         Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
         Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
         Quantity("damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"),
-        Quantity("wall_work", "", "J", "work of moving walls on the particles"),
+        Quantity("wall_work", "", "J", "work of moving walls and belts on the particles"),
         Quantity(
             "boundary_work",
             "",

@@ -9,6 +9,7 @@ from scene_builders import SOFT, build_scene, particle_group, plane, run_and_sam
 
 from granflow.contact import theory
 from granflow.io.frame_reader import read_mesh
+from granflow.scene.schema.motions import SurfaceVelocity
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY, FRICTION, SPEED = 0.005, 9.81, 0.2, 0.1
@@ -170,3 +171,17 @@ def test_restart_on_a_ramping_belt_is_bit_identical(tmp_path, taichi_f64):
     resume_copy(scene, tmp_path / "whole", tmp_path / "parts", checkpoints[6])
     assert files_of(tmp_path / "parts") == files_of(tmp_path / "whole")
     assert states_of(tmp_path / "parts") == states_of(tmp_path / "whole")
+
+
+def test_a_wall_becomes_a_belt_while_the_simulation_runs(taichi_f64):
+    """From then on a sphere at rest accelerates at mu g; before, the scene has no moving wall."""
+    scene = scene_on({name: value for name, value in rectangle([]).items() if name != "motion"})
+    with Simulation(scene) as simulation:
+        simulation.run(until=2e-3)
+        began = simulation.time
+        assert abs(simulation.particles.velocity[0, 0]) < 1e-12
+        simulation.walls["belt"].motion = SurfaceVelocity(velocity=[SPEED, 0, 0])
+        simulation.run(until=2e-3 + 0.5 * ROLLING)
+        expected = FRICTION * GRAVITY * (simulation.time - began)
+        assert simulation.particles.velocity[0, 0] == pytest.approx(expected, rel=0.01)
+        np.testing.assert_array_equal(simulation.walls["belt"].pose.offset, 0.0)
