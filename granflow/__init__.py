@@ -54,15 +54,23 @@ if TYPE_CHECKING:
         RectangleFace,
     )
     from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
-    from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation, Vibration
+    from granflow.scene.schema.motions import (
+        FreeWall,
+        Rotation,
+        Servo,
+        SurfaceVelocity,
+        TableMotion,
+        Translation,
+        Vibration,
+    )
     from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
     from granflow.scene.schema.output import Checkpoints, FlowMeter, Output
     from granflow.scene.schema.particles import Group
     from granflow.scene.schema.run import Numerics, RunSettings
     from granflow.scene.schema.shapes import Box
     from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
-    from granflow.scene.schema.stages import Stage
-    from granflow.scene.schema.walls import Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
+    from granflow.scene.schema.stages import Stage, StageCondition
+    from granflow.scene.schema.walls import BoxWall, Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
     from granflow.studies.calibration.calibrate import calibrate
@@ -82,6 +90,7 @@ __all__ = [
     "Box",
     "BoxOutlet",
     "BoxRegion",
+    "BoxWall",
     "CenterOfMassMetric",
     "Checkpoints",
     "ClassSizes",
@@ -145,7 +154,10 @@ __all__ = [
     "SlidingMetric",
     "Snapshot",
     "Stage",
+    "StageCondition",
     "StopRun",
+    "SurfaceVelocity",
+    "TableMotion",
     "Translation",
     "UniformSizes",
     "Vibration",
@@ -167,6 +179,7 @@ _LOCATIONS = {
     "Box": "granflow.scene.schema.shapes:Box",
     "BoxOutlet": "granflow.scene.schema.outlets:BoxOutlet",
     "BoxRegion": "granflow.scene.schema.insertion:BoxRegion",
+    "BoxWall": "granflow.scene.schema.walls:BoxWall",
     "CenterOfMassMetric": "granflow.scene.schema.analysis:CenterOfMassMetric",
     "Checkpoints": "granflow.scene.schema.output:Checkpoints",
     "ClassSizes": "granflow.scene.schema.sizes:ClassSizes",
@@ -230,7 +243,10 @@ _LOCATIONS = {
     "SlidingMetric": "granflow.scene.schema.analysis:SlidingMetric",
     "Snapshot": "granflow.snapshot:Snapshot",
     "Stage": "granflow.scene.schema.stages:Stage",
+    "StageCondition": "granflow.scene.schema.stages:StageCondition",
     "StopRun": "granflow.errors:StopRun",
+    "SurfaceVelocity": "granflow.scene.schema.motions:SurfaceVelocity",
+    "TableMotion": "granflow.scene.schema.motions:TableMotion",
     "Translation": "granflow.scene.schema.motions:Translation",
     "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
     "Vibration": "granflow.scene.schema.motions:Vibration",

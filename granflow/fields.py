@@ -248,7 +248,7 @@ ENERGY_BUDGET_QUANTITIES = _by_name(
         Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
         Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
         Quantity("damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"),
-        Quantity("wall_work", "", "J", "work of moving walls on the particles"),
+        Quantity("wall_work", "", "J", "work of moving walls and belts on the particles"),
         Quantity(
             "boundary_work",
             "",
@@ -311,6 +311,14 @@ WALL_FORCE_QUANTITIES = _by_name(
         Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
         Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
         Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+        *(
+            Quantity(
+                f"wall_{name}_{axis}_last", "", unit, f"{axis} component of the {name} in the last row, in the result"
+            )
+            for name, unit in (("force", "N"), ("torque", "N m"))
+            for axis in "xyz"
+        ),
+        Quantity("wall_pressure_last", "", "Pa", "pressure in the last row, in the result"),
     )
 )
 """Numbers of each measured wall."""

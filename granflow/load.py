@@ -120,10 +120,13 @@ class Scene(SceneInput):
         return target
 
     def input_names(self) -> Iterator[tuple[str, str]]:
-        """Yield key and path of each mesh and particle file; paths are relative to the folder of the scene."""
+        """Yield key and path of each mesh, motion and particle file; paths are relative to the folder of the scene."""
         for name, wall in self.walls.items():
             if isinstance(wall, MeshWall):
                 yield f"walls.{name}.file", wall.file
+            for index, motion in enumerate(wall.motion):
+                if motion.kind == "table" and motion.file is not None:
+                    yield f"walls.{name}.motion.{index}.file", motion.file
         for name, group in self.particles.items():
             if isinstance(group.insert, FileInsertion):
                 yield f"particles.{name}.insert.file", group.insert.file

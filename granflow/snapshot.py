@@ -35,10 +35,11 @@ def _range(values: np.ndarray) -> str:
 class WallPose:
     """Pose of a wall: a point p at rest moves to `rotation @ (p - pivot) + pivot + offset`.
 
-    present:   False before a wall appears and after it vanishes
-    offset:    (3,) [m]
-    rotation:  (3, 3)
-    pivot:     (3,) [m]
+    present:           False before a wall appears and after it vanishes
+    offset:            (3,) [m]
+    rotation:          (3, 3)
+    pivot:             (3,) [m]
+    surface_velocity:  (3,) [m/s] of a belt, before the projection on a contact plane
 
     The arrays are read-only.
     """
@@ -47,9 +48,10 @@ class WallPose:
     offset: np.ndarray
     rotation: np.ndarray
     pivot: np.ndarray
+    surface_velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        for name in ("offset", "rotation", "pivot"):
+        for name in ("offset", "rotation", "pivot", "surface_velocity"):
             object.__setattr__(self, name, _read_only(getattr(self, name)))
 
     @classmethod

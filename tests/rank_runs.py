@@ -113,6 +113,19 @@ def with_piston(motion):
     return bed(1500, walls=walls)
 
 
+def on_belt():
+    """The bed between a belt that starts slowly as floor and a turning side wall with a surface velocity."""
+    walls = box(0.042)
+    walls["low_z"]["motion"] = {
+        "kind": "surface_velocity", "velocity": [2.0, 0.5, 0.0], "ramp_duration": 1e-3, "initial_velocity": [0, 1, 0]
+    }  # fmt: skip
+    turning = {"kind": "rotation", "point": [0.0, 0.021, 0.021], "axis": [1, 0, 0], "angular_velocity": 50.0}
+    walls["low_x"]["motion"] = [turning, {"kind": "surface_velocity", "velocity": [0.0, 1.0, 0.0], "start": 5e-4}]
+    table = {"kind": "table", "direction": [-1, 0, 0], "times": [0, 1e-3, 2e-3], "displacements": [0, 2e-4, 1e-4]}
+    walls["high_x"]["motion"] = table
+    return bed(1500, walls=walls)
+
+
 def sheared():
     """A cloud of two sizes in a Lees-Edwards box."""
     return sheared_gas(duration=0.008, sizes=(0.002, 0.0065))
@@ -148,6 +161,7 @@ SCENES = {
     "servo": lambda: with_piston({"kind": "servo", "force": 2.0, "velocity_max": 0.5}),
     "free": lambda: with_piston({"kind": "free", "mass": 0.01}),
     "adaptive": lambda: bed(run={"duration": 3e-3, "velocity_max": 4.0, "time_step": "adaptive"}),
+    "belt": on_belt,
     "sheared": sheared,
     "mixed": lambda: in_precision("mixed"),
     "f32": lambda: in_precision("f32"),

@@ -129,7 +129,18 @@ def check(options: argparse.Namespace) -> int:
 
 
 def schema(options: argparse.Namespace) -> int:
-    """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors."""
+    """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors.
+
+    `granflow schema KEY.PATH`: print the reference of a key or block. Raises GranflowError for an unknown key.
+    """
+    if options.key is not None:
+        from granflow.scene.reference.terminal import reference_of
+
+        try:
+            say(reference_of("" if options.key == "scene" else options.key))
+        except KeyError as error:
+            raise GranflowError(error.args[0]) from None
+        return 0
     from granflow.scene.jsonschema import json_schema
 
     say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
@@ -173,9 +184,14 @@ def add_run(verbs: Any) -> None:
 
 
 def add_schema(verbs: Any) -> None:
-    """Add `granflow schema`."""
-    summary = "print the JSON Schema of scene files, for completion and validation in editors"
+    """Add `granflow schema` and its argument."""
+    summary = "print the reference of a scene key or block, or the JSON Schema of scene files for editors"
     parser = verbs.add_parser("schema", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "key", metavar="KEY.PATH", nargs="?",
+        help="key such as run.time_step, walls.rectangle.sides or motion.servo; a block lists its keys; "
+        "scene: the first level; without it, the JSON Schema",
+    )  # fmt: skip
     parser.set_defaults(verb=schema)
 
 

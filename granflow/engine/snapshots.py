@@ -30,5 +30,11 @@ def wall_poses(state: State) -> dict[str, WallPose]:
     for index, wall in enumerate(state.plan.walls):
         poses = pose(state.wall_motions[index], np.array([state.clock.time]))
         present = bool(state.walls.present[index])
-        found[wall.name] = WallPose(present, poses.offset[0] + displacements[index], poses.rotation[0], poses.pivot)
+        found[wall.name] = WallPose(
+            present,
+            poses.offset[0] + displacements[index],
+            poses.rotation[0],
+            poses.pivot,
+            poses.surface_velocity[0],
+        )
     return found

@@ -23,6 +23,8 @@ class Walls:
     center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
     velocity:          [m/s] of the center at the middle of each step
     angular_velocity:  [rad/s] at the middle of each step
+    surface_velocity:  [m/s] of the surface along itself at the middle of each step, before the projection on a contact
+                       plane; None without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
     """
 
@@ -39,6 +41,8 @@ class Walls:
         self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
         self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
         self.angular_velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        has_belt = plan.features.surface_velocity
+        self.surface_velocity = block.vector(backend.real, WALL_BATCH, count) if has_belt else None
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""

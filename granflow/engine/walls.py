@@ -21,7 +21,8 @@ class WallGeometry:
     Points are in m in the frame of the scene; in a periodic box they are wrapped into the box first. A face is a wall
     index, or wall count + triangle index; `pose` is the index of the poses uploaded by `upload_poses`.
 
-    Reads:  kind, parameters, pivot, center, rotation, velocity and angular_velocity of walls; wall dynamics; mesh
+    Reads:  kind, parameters, pivot, center, rotation, velocity, angular_velocity and surface_velocity of walls; wall
+            dynamics; mesh
     """
 
     def __init__(self, state: State) -> None:
@@ -76,7 +77,7 @@ class WallGeometry:
 
     @ti.func
     def prescribed_velocity(self, face, pose, point):
-        """Surface velocity [m/s] at the point from prescribed motions, without force-controlled motions."""
+        """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions."""
         velocity = 0.0 * point
         if ti.static(self.features.moving_walls):
             w = self.wall_of(-1 - face)
@@ -85,11 +86,25 @@ class WallGeometry:
         return velocity
 
     @ti.func
-    def surface_velocity(self, face, pose, point):
-        """Surface velocity [m/s] at the point."""
+    def velocity(self, face, pose, point):
+        """Velocity [m/s] of the wall at the point."""
         velocity = self.prescribed_velocity(face, pose, point)
         if ti.static(self.features.force_controlled_walls):
             velocity += self.controlled_velocity(self.wall_of(-1 - face))
+        return velocity
+
+    @ti.func
+    def surface_velocity(self, face, pose, normal):
+        """Velocity [m/s] of the surface relative to the wall, in the contact plane with this normal.
+
+            u = v - (v . n) n
+
+        so that the normal force does no work.
+        """
+        velocity = 0.0 * normal
+        if ti.static(self.features.surface_velocity):
+            given = self.walls.surface_velocity[pose, self.wall_of(-1 - face)]
+            velocity = given - given.dot(normal) * normal
         return velocity
 
     @ti.func
@@ -143,7 +158,7 @@ def upload_poses(state: State, step: int) -> None:
     Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles of the
     steps are evaluated together, and a wall without motion once.
 
-    Writes:  center, rotation, velocity, angular_velocity of walls; active
+    Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
     """
     walls, clock = state.walls, state.clock
     times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
@@ -164,3 +179,5 @@ def upload_poses(state: State, step: int) -> None:
     upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
     upload(walls.velocity, [p.velocity[-WALL_BATCH:] for p in both], real)
     upload(walls.angular_velocity, [p.angular_velocity[-WALL_BATCH:] for p in both], real)
+    if state.plan.features.surface_velocity:
+        upload(walls.surface_velocity, [p.surface_velocity[-WALL_BATCH:] for p in both], real)

@@ -2,13 +2,20 @@
 
 A wall is in its rest pose until its first motion starts and keeps its pose when its last motion ends. Translations and
 vibrations add; at most one rotation turns the wall, about an axis that translates with it.
+
+Velocities can have a ramp: during `ramp_duration` T from the start of the motion they change linearly from an initial
+value v0 to v,
+
+    v(t) = v - (v - v0) max(1 - t/T, 0),    integral of v = v t - (v - v0) [T/2 - max(T - t, 0)^2 / (2 T)]
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
+
+from granflow.geometry.motion_table import TableRotation, TableTranslation
 
 
 @dataclass(frozen=True)
@@ -37,16 +44,32 @@ class Vibration:
 
 @dataclass(frozen=True)
 class Translation:
-    """Translation with a constant `velocity` [m/s] from `start` to `end` [s]."""
+    """Translation with a `velocity` [m/s] from `start` to `end` [s], constant after the ramp."""
 
     velocity: tuple[float, float, float]
     start: float = 0.0
     end: float = inf
+    initial_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp_duration: float = 0.0
+
+
+@dataclass(frozen=True)
+class SurfaceVelocity:
+    """Velocity [m/s] of the surface of a wall along itself, as of a belt; the wall does not move.
+
+    velocity:  in the frame of the wall; at a contact, its component in the contact plane acts
+    """
+
+    velocity: tuple[float, float, float]
+    start: float = 0.0
+    end: float = inf
+    initial_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp_duration: float = 0.0
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """Rotation about an axis at a constant rate, active from `start` to `end` [s].
+    """Rotation about an axis, active from `start` to `end` [s], at a constant rate after the ramp.
 
     point:             [m], point on the axis in the rest pose
     axis:              unit vector; the rotation is right-handed
@@ -58,6 +81,8 @@ class Rotation:
     angular_velocity: float
     start: float = 0.0
     end: float = inf
+    initial_angular_velocity: float = 0.0
+    ramp_duration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +110,16 @@ class Placement:
     end: float = inf
 
 
-Motion = Vibration | Translation | Rotation | ForceControlled | Placement
+Motion = (
+    Vibration
+    | Translation
+    | Rotation
+    | TableTranslation
+    | TableRotation
+    | SurfaceVelocity
+    | ForceControlled
+    | Placement
+)
 """Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a placement."""
 
 
@@ -98,6 +132,7 @@ class Poses:
     velocity:          (k, 3) [m/s] of the pivot
     angular_velocity:  (k, 3) [rad/s]
     pivot:             (3,) [m] in the rest pose; the point of the rotation, or the origin without rotation
+    surface_velocity:  (k, 3) [m/s] of the surface along itself, in addition to the motion of the wall
 
     A point p of the wall at rest is at `rotation @ (p - pivot) + pivot + offset`. A point of the wall at x has the
     velocity `velocity + angular_velocity x (x - pivot - offset)`.
@@ -108,6 +143,7 @@ class Poses:
     velocity: np.ndarray
     angular_velocity: np.ndarray
     pivot: np.ndarray
+    surface_velocity: np.ndarray
 
 
 def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
@@ -119,15 +155,18 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     if motions and isinstance(motions[0], Placement):
         return _placed(motions[0], pose(motions[1:], times), single_rotation(motions) is not None)
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
-    offset = np.zeros((len(times), 3))
-    velocity = np.zeros((len(times), 3))
+    offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
     for motion in motions:
-        if not isinstance(motion, Rotation | ForceControlled | Placement):
+        if isinstance(motion, Vibration | Translation | TableTranslation | SurfaceVelocity):
             displacement, rate = displacement_and_rate(motion, times)
-            offset += displacement
-            velocity += rate
+            if isinstance(motion, SurfaceVelocity):
+                surface_velocity += rate
+            else:
+                offset += displacement
+                velocity += rate
     rotation, angular_velocity, pivot = rotation_of(single_rotation(motions), times)
-    return Poses(offset, rotation, velocity, angular_velocity, pivot)
+    turned = np.einsum("kij,kj->ki", rotation, surface_velocity)
+    return Poses(offset, rotation, velocity, angular_velocity, pivot, turned)
 
 
 def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
@@ -142,7 +181,8 @@ def _placed(placement: Placement, later: Poses, is_rotating: bool) -> Poses:
     pivot = rotation.T @ (later.pivot - translation) if is_rotating else np.array(placement.pivot)
     center = later.pivot if is_rotating else rotation @ pivot + translation
     turned = later.rotation @ rotation
-    return Poses(later.offset + center - pivot, turned, later.velocity, later.angular_velocity, pivot)
+    offset = later.offset + center - pivot
+    return replace(later, offset=offset, rotation=turned, pivot=pivot)
 
 
 def placement_at(motions: Sequence[Motion], time: float) -> Placement:
@@ -154,30 +194,58 @@ def placement_at(motions: Sequence[Motion], time: float) -> Placement:
     return Placement(rows, tuple(map(float, translation)), tuple(map(float, pivot)))
 
 
-def displacement_and_rate(motion: Vibration | Translation, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def displacement_and_rate(
+    motion: Vibration | Translation | TableTranslation | SurfaceVelocity, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion at `times` (k,) [s].
 
     The velocity is zero outside start <= t < end.
     """
     time_active, running = elapsed(motion, times), is_running(motion, times)
-    if isinstance(motion, Translation):
+    if isinstance(motion, Translation | SurfaceVelocity):
         velocity = np.asarray(motion.velocity, dtype=np.float64)
-        return np.outer(time_active, velocity), np.outer(running, velocity)
+        change, (lag, remaining) = velocity - motion.initial_velocity, ramp(motion.ramp_duration, time_active)
+        rate = velocity - np.outer(remaining, change)
+        return np.outer(time_active, velocity) - np.outer(lag, change), running[:, None] * rate
     direction = np.asarray(motion.direction, dtype=np.float64)
+    if isinstance(motion, TableTranslation):
+        displacement, rate = motion.table.at(time_active)
+        return np.outer(displacement, direction), np.outer(rate * running, direction)
     angle = motion.angular_frequency * time_active + motion.phase
     displacement = motion.amplitude * (np.sin(angle) - np.sin(motion.phase))
     rate = motion.amplitude * motion.angular_frequency * np.cos(angle) * running
     return np.outer(displacement, direction), np.outer(rate, direction)
 
 
-def rotation_of(motion: Rotation | None, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ramp(duration: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lag [s] behind a motion without ramp, and remaining share of the change of velocity, at elapsed times (k,) [s].
+
+        T/2 - max(T - t, 0)^2 / (2 T)  and  max(1 - t/T, 0)
+
+    Both are 0 without ramp (T = 0).
+    """
+    if not duration:
+        return np.zeros(len(time)), np.zeros(len(time))
+    remaining = np.maximum(1.0 - time / duration, 0.0)
+    return 0.5 * duration * (1.0 - remaining**2), remaining
+
+
+def rotation_of(
+    motion: Rotation | TableRotation | None, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotation matrices (k, 3, 3), angular velocities (k, 3) [rad/s] and pivot (3,) [m] at `times` (k,) [s]."""
     if motion is None:
         return np.broadcast_to(np.eye(3), (len(times), 3, 3)).copy(), np.zeros((len(times), 3)), np.zeros(3)
     axis = np.asarray(motion.axis, dtype=np.float64)
-    rotation = rotation_matrices(axis, motion.angular_velocity * elapsed(motion, times))
-    angular_velocity = np.outer(motion.angular_velocity * is_running(motion, times), axis)
-    return rotation, angular_velocity, np.asarray(motion.point, dtype=np.float64)
+    time_active = elapsed(motion, times)
+    if isinstance(motion, TableRotation):
+        angle, rate = motion.table.at(time_active)
+    else:
+        final, (lag, remaining) = motion.angular_velocity, ramp(motion.ramp_duration, time_active)
+        change = final - motion.initial_angular_velocity
+        angle, rate = final * time_active - change * lag, final - change * remaining
+    angular_velocity = np.outer(rate * is_running(motion, times), axis)
+    return rotation_matrices(axis, angle), angular_velocity, np.asarray(motion.point, dtype=np.float64)
 
 
 def rotation_matrices(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -204,27 +272,9 @@ def is_running(motion: Motion, times: np.ndarray) -> np.ndarray:
     return (motion.start <= times) & (times < motion.end)
 
 
-def single_rotation(motions: Sequence[Motion]) -> Rotation | None:
+def single_rotation(motions: Sequence[Motion]) -> Rotation | TableRotation | None:
     """The rotation among the motions, or None. Raises ValueError for more than one."""
-    rotations = [motion for motion in motions if isinstance(motion, Rotation)]
+    rotations = [motion for motion in motions if isinstance(motion, Rotation | TableRotation)]
     if len(rotations) > 1:
         raise ValueError("A wall can have at most one rotation.")
     return rotations[0] if rotations else None
-
-
-def speed_bound(motions: Sequence[Motion], reach: float) -> float:
-    """Upper bound [m/s] of the speed of any point of the wall, as if all motions were active simultaneously.
-
-    The sum of |velocity| of translations, A w of vibrations and |angular velocity| `reach` of the rotation, with the
-    largest distance [m] from its axis of geometry that moves (`catalog.reach_about`). Force-controlled motions are
-    ignored.
-    """
-    bound = 0.0
-    for motion in motions:
-        if isinstance(motion, Translation):
-            bound += float(np.linalg.norm(motion.velocity))
-        elif isinstance(motion, Vibration):
-            bound += abs(motion.amplitude * motion.angular_frequency)
-        elif isinstance(motion, Rotation):
-            bound += abs(motion.angular_velocity) * reach
-    return bound

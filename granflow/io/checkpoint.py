@@ -23,7 +23,7 @@ from granflow.io.checkpoint_archive import ARRAYS, HEADER, read_archive
 from granflow.io.log import version_of
 from granflow.io.regular_files import FormatError, open_regular
 
-FORMAT = 5
+FORMAT = 6
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"

@@ -9,10 +9,10 @@ from granflow.errors import GranflowError
 from granflow.plan.wall_changes import wall_named, with_motions, without_wall
 from granflow.plan.walls import planned_motions, wall_motions
 from granflow.runs.run_state import RunState
-from granflow.scene.schema.motions import Rotation, Translation, Vibration
+from granflow.scene.schema.motions import Rotation, SurfaceVelocity, Translation, Vibration
 from granflow.snapshot import WallPose
 
-KINDS = Rotation | Translation | Vibration
+KINDS = Rotation | Translation | Vibration | SurfaceVelocity
 """Motions that can be assigned."""
 
 
@@ -62,8 +62,8 @@ class LiveWall:
         for each in motions:
             if not isinstance(each, KINDS):
                 raise GranflowError(
-                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, Vibration, a list "
-                    "of them, or None."
+                    f"walls[{self.name!r}].motion is {each!r}, but must be a Rotation, Translation, Vibration, "
+                    "SurfaceVelocity, a list of them, or None."
                 )
             if each.stages is not None:
                 raise GranflowError(f"walls[{self.name!r}].motion has stages: give start and end instead.")

@@ -30,7 +30,8 @@ def observers_for(
     """
     output = plan.output
     observers: list[Observer] = []
-    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls:
+    has_conditions = any(stage.until for stage in plan.stages)
+    if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls or has_conditions:
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
         observers.append(ParticleFrames(out_dir, output.interval, writer=writer, reach=_max_coordinate(plan)))
@@ -41,7 +42,13 @@ def observers_for(
         unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
         observers.append(
             WallFrames(
-                out_dir, output.interval, triangles_of_walls, writer=writer, measured=measured, unbounded=unbounded
+                out_dir,
+                output.interval,
+                triangles_of_walls,
+                writer=writer,
+                measured=measured,
+                unbounded=unbounded,
+                has_belts=plan.features.surface_velocity,
             )
         )
     if out_dir is not None:

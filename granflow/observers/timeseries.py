@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,15 @@ Meter = FlowMeter | WallForceMeter | MetricMeter
 """Measures each snapshot of the time series."""
 
 
+@dataclass(frozen=True)
+class Row:
+    """One row of a time series: its time and that of the row before it [s], and its numbers by name as in `expect`."""
+
+    time: float
+    time_before: float
+    numbers: Mapping[str, float]
+
+
 class TimeSeries(ScheduledObserver):
     """Writes the totals of the snapshots and the readings of flow meters, wall forces and metrics; flushes each row.
 
@@ -61,6 +71,7 @@ class TimeSeries(ScheduledObserver):
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
         self.wants = self.wants.union(*(metric.wants for metric in (metrics or {}).values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
+        self.last_row: Row | None = None
         self._names: list[str] = []
         self._file: FileIO | None = None
         self._size = 0
@@ -71,14 +82,17 @@ class TimeSeries(ScheduledObserver):
 
         Raises OSError if the row cannot be written; its remaining bytes are written before the next row.
         """
+        before = self._schedule.last_time
         if not self._schedule.mark_done(snapshot.time):
             return
         for meters in self.meters.values():
             for meter in meters.values():
                 meter.update(snapshot)
+        readings = self._readings()
+        named = {name: value for kind in self.meters for name, value in self._numbers(kind).items()}
+        self.last_row = Row(snapshot.time, snapshot.time if before is None else before, {**snapshot.totals, **named})
         if self.path is None:
             return
-        readings = self._readings()
         if not self._size and not self._unwritten:
             known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
             self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
@@ -118,6 +132,10 @@ class TimeSeries(ScheduledObserver):
         """Return the readings of all meters by column name, with units, in the order of the columns."""
         named = [each for kind in self.meters for each in self._named(kind)]
         return {READINGS[key].label_of(name): value for name, meter in named for key, value in meter.readings().items()}
+
+    def _numbers(self, kind: str) -> dict[str, float]:
+        """Return the readings of the meters of a kind by their names in `expect`, such as wall_pressure.lid."""
+        return {f"{key}.{name}": value for name, meter in self._named(kind) for key, value in meter.readings().items()}
 
     def state_dict(self) -> dict[str, Any]:
         """Flush all rows to the disk; return the file size [bytes], the columns and the state of the meters."""

@@ -136,7 +136,8 @@ class WallFrames(Frames):
 
     `triangles`: name -> (points at rest (m, 3) [m], corners (k, 3)), in the order of the scene. The cell array `wall`
     is the index of the wall in that order. `measured`: areas [m2] of the walls with measured forces, None for an
-    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values.
+    infinite wall; the cell arrays `traction` and `pressure` [Pa] are their instantaneous values. `has_belts`: write the
+    cell array `surface_velocity` [m/s], which is 0 on walls without one.
     """
 
     stem = "walls"
@@ -150,10 +151,11 @@ class WallFrames(Frames):
         writer: BackgroundWriter | None = None,
         measured: Mapping[str, float | None] | None = None,
         unbounded: Collection[str] = (),
+        has_belts: bool = False,
     ) -> None:
         super().__init__(directory, interval, start, writer)
         self._triangles, self._measured = dict(triangles), dict(measured or {})
-        self._unbounded = frozenset(unbounded)
+        self._unbounded, self._has_belts = frozenset(unbounded), has_belts
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}
         self.wants = frozenset({WALLS, CONTACTS} if self._measured else {WALLS})
 
@@ -163,7 +165,7 @@ class WallFrames(Frames):
         Walls that are absent in this stage have no triangles. `traction` (k, 3) and `pressure` (k,) [Pa] are float32.
         """
         points, corners, walls = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
-        wall_forces = [(np.zeros((0, 3)), np.zeros(0))]
+        wall_forces, belts = [(np.zeros((0, 3)), np.zeros(0))], [np.zeros((0, 3))]
         point_count = 0
         for index, (name, (rest_points, rest_corners)) in enumerate(self._triangles.items()):
             pose = snapshot.walls.get(name)
@@ -174,11 +176,14 @@ class WallFrames(Frames):
             corners.append(rest_corners + point_count)
             walls.append(np.full(len(rest_corners), index, np.int32))
             wall_forces.append(self._traction_and_pressure(snapshot, index, name, len(rest_corners)))
+            belts.append(_along_faces(pose.surface_velocity, moved[rest_corners]))
             point_count += len(rest_points)
         cell_data = {"wall": np.concatenate(walls)}
         if self._measured:
             for name, parts in zip(("traction", "pressure"), zip(*wall_forces, strict=True), strict=True):
                 cell_data[name] = np.concatenate(parts).astype(np.float32)
+        if self._has_belts:
+            cell_data["surface_velocity"] = np.concatenate(belts).astype(np.float32)
         return VtuMesh.of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
 
     def _traction_and_pressure(
@@ -188,6 +193,14 @@ class WallFrames(Frames):
         if name not in self._measured:
             return np.full((count, 3), np.nan), np.full(count, np.nan)
         return traction_and_pressure(snapshot.contacts or {}, index, self._areas[name], self._measured[name])
+
+
+def _along_faces(velocity: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Components (k, 3) [m/s] of a velocity (3,) in the planes of triangles (k, 3, 3) [m]."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+    found: np.ndarray = velocity - (normals @ velocity)[:, None] * normals
+    return found
 
 
 def _kept_in_place(moved: np.ndarray, rest: np.ndarray) -> np.ndarray:

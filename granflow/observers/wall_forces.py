@@ -42,15 +42,16 @@ class WallForceMeter:
         return self._named(self._mean)
 
     def result(self) -> dict[str, float]:
-        """Return means over the last stage and the largest readings of the run.
+        """Return means over the last stage, those between the last two samples, and the largest readings of the run.
 
         The stage begins at the last sample before it. `wall_force` [N] and `wall_torque` [N m] are magnitudes of the
         mean vectors; `wall_force_largest` [N] and `wall_pressure_largest` [Pa] are the largest means between two
-        samples.
+        samples. Names of the values between the last two samples end with `_last`.
         """
         duration = self._time - self._stage_time
         mean = (self._impulse - self._stage_impulse) / duration if duration > 0.0 else NO_IMPULSE
         found = self._named(mean) | {"wall_force": _length(mean[:3]), "wall_torque": _length(mean[3:6])}
+        found |= {f"{name}_last": value for name, value in self.readings().items()}
         found["wall_force_largest"] = self._max_force
         if self.area is not None:
             found["wall_pressure_largest"] = self._max_normal_force / self.area

@@ -1,7 +1,7 @@
 """Resolved scenes: defaults that depend on several parts or on files become plain numbers after reading.
 
-Resolves counts from masses and end times, summaries of particle files, and `scale`. Resolving is idempotent. The
-resolved scene is used for the run and saved with it.
+Resolves counts from masses and end times, summaries of particle files, tables of motions, and `scale`. Resolving is
+idempotent. The resolved scene is used for the run and saved with it.
 """
 
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ from granflow.errors import SceneError
 from granflow.particles.close_pairs import near_pairs
 from granflow.particles.from_file import rows_of, unassigned_rows
 from granflow.particles.group import SceneGroup, groups_of
+from granflow.particles.motion_file import with_motion_files
 from granflow.particles.sizes import count_for_volume
 from granflow.particles.table import ParticleTable
 from granflow.scene.schema.fields import Model
@@ -35,7 +36,7 @@ def resolved_input(scene: SceneInput, read: bool) -> SceneInput:
 
     Raises SceneError with the problems of all groups.
     """
-    scene, remarks = _at_scale_1(scene)
+    scene, remarks = _at_scale_1(with_motion_files(scene, read))
     groups: dict[str, Group] = {}
     problems: list[str] = []
     given = groups_of(scene)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from math import ceil
 from typing import NamedTuple
 
+from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.plan.features import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
@@ -51,6 +52,7 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
         "Time step": _time_step_rows(plan),
         "Particles": _particle_rows(plan),
         **({"Force-controlled walls": _wall_control_rows(plan)} if plan.controlled_motions else {}),
+        "Tables of motions": _table_rows(plan),
         "Meshes": _mesh_rows(plan),
         "Forecast": _forecast_rows(plan),
         "Memory": _memory_rows(plan, memory),
@@ -141,6 +143,19 @@ def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:
         )
 
 
+def _table_rows(plan: Plan) -> Iterator[ExplainRow]:
+    """Rows of the motions from tables: duration, largest velocity and acceleration."""
+    for wall in plan.walls:
+        for motion in (each.given for each in wall.motions):
+            if isinstance(motion, TableTranslation | TableRotation):
+                table, length = motion.table, "m" if isinstance(motion, TableTranslation) else "rad"
+                largest = (
+                    f"at most {table.largest_rate:.3g} {length}/s and {table.largest_change_of_rate:.3g} {length}/s2"
+                )
+                rows = f"{len(table.times)} rows from {table.times[0]:g} to {table.times[-1]:g} s"
+                yield ExplainRow(wall.name, f"{table.values[-1]:.4g} {length} at the end", f"{rows}, {largest}")
+
+
 def _materials(plan: Plan) -> str:
     unused = [name for name in plan.solids if name not in plan.materials]
     used = f"of particles and walls: {', '.join(plan.materials)}"
@@ -209,10 +224,10 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
 
     The estimate assumes the rates PARTICLE_STEPS_PER_SECOND and STEPS_PER_SECOND, whichever gives the longer time.
     """
-    ends_at_rest = any(stage.kinetic_energy_below is not None for stage in plan.stages)
+    ends_early = any(stage.has_condition for stage in plan.stages)
     longest = duration_of(plan)
     steps = ceil(longest / plan.time_step)
-    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_at_rest else ("", "")
+    prefix, stages_at_most = ("at most ", ", if every stage reaches its maximum duration") if ends_early else ("", "")
     stages = ", ".join(f"{stage.name} {_end_text(stage)}" for stage in plan.stages)
     yield ExplainRow("precision", plan.precision, "")
     yield ExplainRow("simulated time", f"{prefix}{longest:.4g} s", stages)
@@ -225,7 +240,7 @@ def _run_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 
 def _end_text(stage: PlannedStage) -> str:
-    prefix = "" if stage.kinetic_energy_below is None else "at most "
+    prefix = "at most " if stage.has_condition else ""
     return f"{prefix}{stage.longest:g}\N{NO-BREAK SPACE}s"
 
 

@@ -8,7 +8,7 @@ from granflow.contact.model import ContactModel
 from granflow.contact.options import FRICTION
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
-from granflow.plan.walls import is_force_controlled
+from granflow.plan.walls import has_belt, is_force_controlled
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Features:
     """Name of the cohesion model, or "none"."""
     walls: bool
     moving_walls: bool
+    surface_velocity: bool
     force_controlled_walls: bool
     mesh_walls: bool
     one_material: bool
@@ -75,6 +76,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         cohesion=_name(models, "cohesion"),
         walls=bool(scene.walls),
         moving_walls=any(wall.motion for wall in scene.walls.values()),
+        surface_velocity=any(has_belt(wall) for wall in scene.walls.values()),
         force_controlled_walls=any(is_force_controlled(wall) for wall in scene.walls.values()),
         mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
         one_material=len({group.material for group in scene.particles.values()}) == 1,
@@ -112,6 +114,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "cohesion": _model_reason(scene, "cohesion", features.cohesion != "none"),
         "walls": _walls_reason(scene),
         "moving_walls": _moving_reason(scene, features),
+        "surface_velocity": _belt_reason(scene, features),
         "force_controlled_walls": _force_controlled_reason(scene, features),
         "mesh_walls": _mesh_reason(scene, features),
         "one_material": _material_reason(scene),
@@ -185,6 +188,13 @@ def _moving_reason(scene: Scene, features: Features) -> str:
         return "no wall has a motion"
     names = [name for name, wall in scene.walls.items() if wall.motion]
     return f"motion of {', '.join(names)} ({scene.where('walls', names[0], 'motion')})"
+
+
+def _belt_reason(scene: Scene, features: Features) -> str:
+    if not features.surface_velocity:
+        return "no wall has a surface velocity"
+    name = next(name for name, wall in scene.walls.items() if has_belt(wall))
+    return f"surface velocity of {name} ({scene.where('walls', name, 'motion')})"
 
 
 def _force_controlled_reason(scene: Scene, features: Features) -> str:

@@ -1,10 +1,12 @@
-"""Periodic wall motions: the time step must resolve their period."""
+"""Wall motions: the time step must resolve their period, or the rows of their table."""
 
 import math
+from itertools import pairwise
+from typing import Any
 
 from granflow.errors import SceneError
 from granflow.load import Scene
-from granflow.scene.schema.motions import Rotation, Vibration
+from granflow.scene.schema.motions import Rotation, TableMotion, Vibration
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
@@ -13,11 +15,19 @@ STEPS_PER_PERIOD = 10
 def refuse_fast_motion(scene: Scene, time_step: float) -> None:
     """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s].
 
-    One SceneError names all such motions, each with the largest permitted time step.
+    Rows of a table must be at least one time step apart. One SceneError names all such motions, each with the largest
+    permitted time step.
     """
     problems = []
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
+            shortest = _shortest_row(motion)
+            if time_step > shortest * (1.0 + 1e-9):
+                problems.append(
+                    f"{scene.locate('walls', name, 'motion', index)}: walls.{name}.motion.{index} has rows that are "
+                    f"{shortest:.3g} s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
+                    f"run.time_step to {shortest:.2g} s or less."
+                )
             period = _period(motion, scene) if isinstance(motion, Vibration | Rotation) else math.inf
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 key = f"walls.{name}.motion.{index}"
@@ -30,10 +40,17 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
         raise SceneError(problems)
 
 
+def _shortest_row(motion: Any) -> float:
+    """Shortest time [s] between two rows of a table; infinite for other motions."""
+    if not isinstance(motion, TableMotion) or motion.times is None:
+        return math.inf
+    return min(after - before for before, after in pairwise(motion.times))
+
+
 def _period(motion: Vibration | Rotation, scene: Scene) -> float:
     """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
     if isinstance(motion, Rotation):
-        rate = abs(motion.angular_velocity)
+        rate = max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity or 0.0))
     else:
         amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
         rate = rate if amplitude else 0.0

@@ -22,11 +22,26 @@ class PlannedGroup:
 
 
 @dataclass(frozen=True)
+class StageCondition:
+    """A condition that ends a stage: a quantity is above or below a value, one of which is None, during `hold` [s]."""
+
+    quantity: str
+    above: float | None
+    below: float | None
+    hold: float
+
+    def is_met(self, value: float) -> bool:
+        """Whether a value satisfies the condition; NaN does not."""
+        return (self.above is not None and value > self.above) or (self.below is not None and value < self.below)
+
+
+@dataclass(frozen=True)
 class PlannedStage:
     """One stage of a run: name, and longest duration [s].
 
     `kinetic_energy_below` [J]: mean kinetic energy per particle at which it ends earlier, or None. `key`, `source`: key
-    of the duration in the scene, and its position in the file.
+    of the duration in the scene, and its position in the file. `until`: conditions, any of which ends the stage, from
+    its `shortest` duration [s] on.
     """
 
     name: str
@@ -34,6 +49,13 @@ class PlannedStage:
     kinetic_energy_below: float | None
     key: str
     source: str
+    until: tuple[StageCondition, ...] = ()
+    shortest: float = 0.0
+
+    @property
+    def has_condition(self) -> bool:
+        """Whether the stage can end before its longest duration."""
+        return self.kinetic_energy_below is not None or bool(self.until)
 
 
 def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
@@ -54,7 +76,7 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
         key = "max_duration" if stage.duration is None else "duration"
         path = ("stages", index, key) if scene.stages else ("run", "duration")
         longest = stage.duration or stage.max_duration or 0.0
-        stages.append(
-            PlannedStage(stage.name, longest, stage.kinetic_energy_below, ".".join(map(str, path)), scene.locate(*path))
-        )
+        source = ".".join(map(str, path)), scene.locate(*path)
+        until = tuple(StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until)
+        stages.append(PlannedStage(stage.name, longest, stage.kinetic_energy_below, *source, until, stage.min_duration))
     return tuple(stages)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.geometry import motion
+from granflow.geometry import motion, motion_speed
 from granflow.geometry.catalog import reach_about
 from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedMotion, PlannedWall
@@ -48,7 +48,12 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
             f"walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
-    features = replace(plan.features, moving_walls=plan.features.moving_walls or bool(wall.motions))
+    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    features = replace(
+        plan.features,
+        moving_walls=plan.features.moving_walls or bool(wall.motions),
+        surface_velocity=plan.features.surface_velocity or has_belt,
+    )
     return replace(plan, walls=walls, features=features, wall_speed=max(plan.wall_speed, speed))
 
 
@@ -75,10 +80,13 @@ def _speed(plan: Plan, wall: PlannedWall) -> float:
             turned = np.array(motions[0].rotation).T
             point, axis = turned @ (point - np.array(motions[0].translation)), turned @ axis
         reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
-    return motion.speed_bound(motions, reach)
+    return motion_speed.speed_bound(motions, reach)
 
 
-MOTIONS = {kind.__name__: kind for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.Placement)}
+MOTIONS = {
+    kind.__name__: kind
+    for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.SurfaceVelocity, motion.Placement)
+}
 """Motions that checkpoints contain, by name."""
 
 

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from granflow.geometry import motion, plane, revolved
+from granflow.geometry import motion, motion_speed, plane, revolved
 from granflow.geometry.catalog import Surface, reach_about
+from granflow.geometry.motion_table import MotionTable, TableRotation, TableTranslation
 from granflow.geometry.shape import Shape, unit
 from granflow.geometry.shared_edges import join_shared_edges
 from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
-from granflow.scene.schema.motions import FreeWall, Rotation, Servo, Translation
+from granflow.scene.schema.motions import FreeWall, Rotation, Servo, SurfaceVelocity, TableMotion, Translation
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
@@ -119,6 +120,11 @@ def is_force_controlled(wall: AnyWall) -> bool:
     return any(isinstance(each, Servo | FreeWall) for each in wall.motion)
 
 
+def has_belt(wall: AnyWall) -> bool:
+    """True if the wall has a surface velocity."""
+    return any(isinstance(each, SurfaceVelocity) for each in wall.motion)
+
+
 def planned_motions(motions: Sequence[Any], gravity: Sequence[float]) -> tuple[PlannedMotion, ...]:
     """Motions of a wall of the scene in numeric form: unit vectors, SI units.
 
@@ -132,12 +138,29 @@ def _motion(given: Any, gravity: Sequence[float]) -> motion.Motion:
     start, end = given.start or 0.0, inf if given.end is None else given.end
     if isinstance(given, Servo | FreeWall):
         return motion.ForceControlled(start, end)
-    if isinstance(given, Translation):
-        return motion.Translation(given.velocity, start, end)
+    if isinstance(given, Translation | SurfaceVelocity):
+        kind = motion.Translation if isinstance(given, Translation) else motion.SurfaceVelocity
+        initial = given.initial_velocity or (0.0, 0.0, 0.0)
+        return kind(given.velocity, start, end, initial, given.ramp_duration or 0.0)
+    if isinstance(given, TableMotion):
+        return _table_motion(given, start, end)
     if isinstance(given, Rotation):
-        return motion.Rotation(given.point, _unit_vector(given.axis), given.angular_velocity, start, end)
+        rates = given.angular_velocity, start, end, given.initial_angular_velocity or 0.0, given.ramp_duration or 0.0
+        return motion.Rotation(given.point, _unit_vector(given.axis), *rates)
     amplitude, omega = given.amplitude_and_angular_frequency(gravity)
     return motion.Vibration(_unit_vector(given.direction), amplitude, omega, given.phase, start, end)
+
+
+def _table_motion(given: TableMotion, start: float, end: float) -> TableTranslation | TableRotation:
+    """A motion from a table in numeric form; the scene is resolved, so that the columns are known."""
+    column = given.column
+    assert column is not None and given.times is not None
+    build = MotionTable.of_rates if "velocit" in column else MotionTable.of_values
+    table = build(given.times, getattr(given, column))
+    if given.direction is not None:
+        return TableTranslation(_unit_vector(given.direction), table, start, end)
+    assert given.point is not None
+    return TableRotation(given.point, _unit_vector(given.axis), table, start, end)
 
 
 def _unit_vector(given: Any) -> tuple[float, float, float]:
@@ -174,12 +197,12 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
         if rotation is not None:
             max_distance = float(np.linalg.norm(np.abs(corners - rotation.point).max(axis=0)))
             reach = reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), max_distance)
-        speeds[wall.name] = motion.speed_bound(motions, reach)
+        speeds[wall.name] = motion_speed.speed_bound(motions, reach)
     return speeds
 
 
 def surface_speed(scene: Scene) -> float:
-    """Largest surface speed [m/s] of all walls, including rotation in place and force-controlled motion.
+    """Largest surface speed [m/s] of all walls, including rotation in place, belts and force-controlled motion.
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
@@ -192,7 +215,8 @@ def surface_speed(scene: Scene) -> float:
             sum(_force_controlled_speed(scene, each, extent) for each in wall.motion if is_in_stage(each, stage.name))
             for stage in scene.schedule
         )
-        fastest = max(fastest, motion.speed_bound(motions, extent / 2) + controlled_speed)
+        belt = sum(motion_speed.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
+        fastest = max(fastest, motion_speed.speed_bound(motions, extent / 2) + belt + controlled_speed)
     return fastest
 
 

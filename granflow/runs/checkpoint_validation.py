@@ -13,6 +13,7 @@ from granflow.load import Scene
 from granflow.plan.device_arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
 from granflow.runs.checkpoint_contacts import check_contacts
+from granflow.runs.stage_conditions import STATE
 
 ROUNDING = 1e-5
 """Relative tolerance of radii and masses: rounding in single precision, and sizes from an earlier run."""
@@ -99,7 +100,7 @@ def check_particles_alone(checkpoint: Checkpoint, before: Scene) -> None:
 
 def _check_stage_progress(progress: Part, stages: list[str]) -> None:
     """Check the present stage, the start and end [s] of each stage up to it, in the order `stages`."""
-    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes", "servos"))
+    progress.mapping(("stage", "stage_times", "next_check", "target", "arrived", "changes", "servos", "conditions"))
     present = progress["stage"].text(stages)
     times = progress["stage_times"]
     if list(times.mapping()) != stages[: stages.index(present) + 1]:
@@ -115,6 +116,21 @@ def _check_stage_progress(progress: Part, stages: list[str]) -> None:
         change.number(0.0)
     progress["servos"].mapping(("next_sample", "samples"))
     progress["servos"]["next_sample"].number(0.0)
+    _check_conditions(progress["conditions"])
+
+
+def _check_conditions(conditions: Part) -> None:
+    """Check times [s] and values of the conditions of the present stage."""
+    conditions.mapping(STATE)
+    count = len(conditions["since"].items())
+    for since in conditions["since"].items():
+        since.number(0.0)
+    for value in conditions["values"].items(count):
+        if not isinstance(value.value, float):
+            raise value.mismatch("a number")
+    conditions["last_row"].number(0.0, LARGEST_REAL)
+    if conditions["met"].value is not None:
+        conditions["met"].integer(0, count - 1)
 
 
 def _check_servo_samples(samples: Part, motion_count: int) -> None:

@@ -18,7 +18,7 @@ RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
 
 
 def copy_inputs(directory: Path, scene: Scene) -> None:
-    """Copy mesh files and particle files to the paths that the resolved scene in the directory contains.
+    """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory contains.
 
     A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are created.
     Raises OSError if a file cannot be copied.
@@ -35,7 +35,7 @@ def copy_inputs(directory: Path, scene: Scene) -> None:
 
 
 def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
-    """Yield the key and the path of each input file of the scene: meshes and particle tables.
+    """Yield the key and the path of each input file of the scene: meshes, tables of motions and of particles.
 
     The key is that of the scene, such as `walls.hopper.file`; the path starts with the folder of the scene. The file
     need not exist.
@@ -44,10 +44,13 @@ def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
 
 
 def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
-    """Yield the files and their names in the scene, except particle files that a continued run no longer has."""
+    """Yield the files and their names in the scene, except tables that a continued run no longer has."""
     for wall in scene.walls.values():
         if isinstance(wall, MeshWall):
             yield mesh_path(scene, wall), wall.file
+        for name in (motion.file for motion in wall.motion if motion.kind == "table"):
+            if name is not None and resolved(scene.folder / name).exists():
+                yield resolved(scene.folder / name), name
     for insertion in (group.insert for group in scene.particles.values()):
         if isinstance(insertion, FileInsertion) and not RESULTS.fullmatch(insertion.file):
             path = resolved(scene.folder / insertion.file)

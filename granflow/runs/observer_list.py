@@ -7,7 +7,7 @@ from math import inf
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.observers.base import Checkpointable, Observer
 from granflow.observers.schedule import ScheduledObserver
-from granflow.observers.timeseries import TimeSeries
+from granflow.observers.timeseries import Row, TimeSeries
 from granflow.runs.timings import Readings
 from granflow.snapshot import Snapshot
 
@@ -111,6 +111,11 @@ class ObserverList(Sequence[Observer]):
     def readings(self) -> Mapping[str, Readings]:
         """Return the numbers of the flow meters, wall forces and metrics."""
         return self._series[0].results_by_kind() if self._series else {}
+
+    def row_at(self, time: float) -> Row | None:
+        """Return the row of the time series at `time` [s]; None if there is none."""
+        rows = [series.last_row for series in self._series if series in self._observers]
+        return next((row for row in rows if row is not None and row.time == time), None)
 
     def log_end(self) -> None:
         """Log a warning for each metric whose last value is not defined or misleading."""

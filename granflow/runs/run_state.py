@@ -79,7 +79,9 @@ class RunState:
         counts = {group.name: group.count for group in engine.plan.groups}
         check_streams(checkpoint, self.insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
-        progress.load_state_dict(saved["stage_progress"], reopened, same_scene=not change.differences)
+        progress.load_state_dict(
+            saved["stage_progress"], engine.plan.stages, reopened, same_scene=not change.differences
+        )
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         restore_state(engine, saved["engine"], motions)
         engine.set_stage(progress.stage)

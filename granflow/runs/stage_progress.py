@@ -1,13 +1,16 @@
 """Progress of a run through its stages."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
 from granflow.engine.engine import Engine
 from granflow.plan.plan import Plan
+from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.servo_forces import ServoForces
+from granflow.runs.stage_conditions import StageConditions
 
 REST_CHECKS = 200
 """Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
@@ -24,6 +27,7 @@ class StageProgress:
     target:       time [s] to which the current steps lead, None between targets
     arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
     servos:       force samples of the servos, checked at the end of the stage
+    conditions:   conditions that end the stage
     """
 
     stage: str
@@ -33,6 +37,7 @@ class StageProgress:
     target: float | None = None
     arrived: bool = False
     servos: ServoForces = field(default_factory=ServoForces)
+    conditions: StageConditions = field(default_factory=StageConditions)
 
     @classmethod
     def of(cls, plan: Plan) -> "StageProgress":
@@ -82,16 +87,22 @@ class StageProgress:
             "arrived": self.arrived,
             "changes": list(self.changes),
             "servos": self.servos.state_dict(),
+            "conditions": self.conditions.state_dict(),
         }
 
-    def load_state_dict(self, saved: dict[str, Any], reopened: bool, same_scene: bool) -> None:
+    def load_state_dict(
+        self, saved: dict[str, Any], stages: Sequence[PlannedStage], reopened: bool, same_scene: bool
+    ) -> None:
         """Restore the state.
 
+        stages:      of the plan
         reopened:    the last stage continues even if it had ended
         same_scene:  False if the scene changed; the target is then determined again
         """
         self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
         self.servos.load_state_dict(saved["servos"])
+        present = next(stage for stage in stages if stage.name == self.stage)
+        self.conditions.load_state_dict(saved["conditions"], present, same_scene)
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}
         if reopened:
             self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)

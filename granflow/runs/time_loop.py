@@ -60,15 +60,19 @@ class TimeLoop:
     def _run_stage(self, stage: PlannedStage, end: float) -> None:
         """Run a stage to its end, or to `end` [s].
 
-        The stage ends after its longest duration, or, with `kinetic_energy_below`, at the first check at which the
-        particles are at rest; REST_CHECKS checks are distributed evenly. A resumed stage continues at its target.
+        The stage ends after its longest duration, at the first row of the time series that satisfies one of its
+        conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at rest; REST_CHECKS
+        checks are distributed evenly. A resumed stage continues at its target.
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:
             self._begin_stage(stage, stage.longest / REST_CHECKS)
             progress.servos.begin(self.engine, stage.longest)
+            progress.conditions.begin(stage, self.engine.time)
         stop = progress.stage_times[stage.name][0] + stage.longest
-        while progress.target is not None or not self.engine.reached(min(stop, end)):
+        while progress.conditions.met is None and (
+            progress.target is not None or not self.engine.reached(min(stop, end))
+        ):
             next_check = progress.next_check if stage.kinetic_energy_below is not None else inf
             self._advance_to(min(stop, end, next_check, progress.servos.next_sample, self._next_event()))
             progress.servos.sample_if_due(self.engine, stage.longest)
@@ -77,8 +81,9 @@ class TimeLoop:
                 if self._at_rest(stage):
                     break
         else:
-            if not self.engine.reached(stop):
+            if progress.conditions.met is None and not self.engine.reached(stop):
                 return
+            progress.conditions.log_end(stage, self.engine.time)
         progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
 
@@ -139,9 +144,18 @@ class TimeLoop:
         try:
             self._notify(self.state.observers.notify_due, self.engine.reached)
         except StopRun:
-            progress.target = None
+            self._complete_target()
             raise
+        self._complete_target()
+
+    def _complete_target(self) -> None:
+        """Forget the target; evaluate the conditions of the stage, if the time series has a new row."""
+        progress = self.state.progress
         progress.target = None
+        row = self.state.observers.row_at(self.engine.time)
+        if row is not None and not progress.has_ended(progress.stage):
+            stage = next(each for each in self.engine.plan.stages if each.name == progress.stage)
+            progress.conditions.add_row(stage, progress.stage_times[stage.name][0], row)
 
     def _advance(self, target: float) -> None:
         """Advance to `target` [s] in batches, between which signals are handled and checkpoints written.

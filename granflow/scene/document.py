@@ -75,12 +75,17 @@ class Node:
         return self.scalar
 
     def child(self, key: str | int) -> "Node | None":
-        """The value under a key or at an index; None if it does not exist."""
-        if self.entries is not None and key in self.entries:
-            return self.entries[str(key)].node
+        """The value under a key or at an index; None if it does not exist. A face of a box has the value of the box."""
+        if self.entries is not None and (written := self.written_key(key)) is not None:
+            return self.entries[written].node
         if self.items is not None and isinstance(key, int) and 0 <= key < len(self.items):
             return self.items[key]
         return None
+
+    def written_key(self, key: str | int) -> str | None:
+        """The key in the file: that of the box for one of its faces, such as box.left; None if there is none."""
+        words = [str(key), str(key).rpartition(".")[0]]
+        return next((word for word in words if word in (self.entries or {})), None)
 
     @property
     def is_empty(self) -> bool:
@@ -145,7 +150,8 @@ class Document:
             child = node.child(key) if node is not None else None
             if child is None:
                 return position
-            position = entries[str(key)].key_position if entries is not None else child.position
+            written = node.written_key(key) if node is not None and entries is not None else None
+            position = child.position if entries is None or written is None else entries[written].key_position
             node = child
         return position
 

@@ -52,7 +52,10 @@ def problem_at(document: Document, fault: Fault) -> Problem:
 
 
 def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
-    """The path in the file: without union tags, and without the index if a single item replaces a list."""
+    """The path in the file: without union tags, and without the index if a single item replaces a list.
+
+    A face of a box has the path of the box.
+    """
     node: Node | None = document.root
     written: list[str | int] = []
     for key in path:
@@ -60,7 +63,8 @@ def path_in_file(document: Document, path: Iterable[str | int]) -> KeyPath:
             continue
         if isinstance(key, int) and node is not None and node.items is None:
             continue
-        written.append(key)
+        in_file = node.written_key(key) if node is not None and node.entries is not None else None
+        written.append(key if in_file is None else in_file)
         node = node.child(key) if node is not None else None
     return tuple(written)
 

@@ -11,6 +11,7 @@ from granflow.scene.document import Document, KeyPath
 from granflow.scene.schema.faults import Fault
 from granflow.scene.schema.fields import faults_of
 from granflow.scene.schema.scene import SceneInput
+from granflow.scene.schema.walls import FACES
 from granflow.scene.suggest import nearest
 
 
@@ -34,7 +35,18 @@ class PartialScene:
         """
         node = self.document.root.child(section)
         names = tuple(node.entries) if node is not None and node.entries else ()
+        if section == "walls":
+            names = self._wall_names(names)
         return tuple(dict.fromkeys((*names, *(name.lower() for name in names))))
+
+    def _wall_names(self, written: Sequence[str]) -> tuple[str, ...]:
+        """Names of the walls with the faces of boxes in place of the boxes; an invalid box has all six."""
+        faces = [name for name in self.scene.walls if "." in name]
+        valid = {name.partition(".")[0] for name in faces}
+        shapes = {name: self.document.find(("walls", name, "shape")) for name in written}
+        boxes = [name for name, shape in shapes.items() if shape is not None and shape.scalar == "box"]
+        faces += [f"{box}.{face}" for box in boxes for face in FACES if box not in valid]
+        return (*(name for name in written if name not in boxes), *faces)
 
     def faults(self) -> Iterator[Fault]:
         """Inconsistencies between the fields of each valid part, with the full key path of the fault."""

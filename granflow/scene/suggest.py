@@ -40,6 +40,7 @@ RENAMED_KEYS = {
 
 SYNONYMS: dict[str, tuple[str, ...]] = {
     "ball": ("particles",),
+    "belt": ("surface_velocity", "motion"),
     "boundary": ("periodic", "on_exit"),
     "coefficientfriction": ("friction",),
     "coefficientrestitution": ("restitution",),
@@ -47,6 +48,7 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "cof": ("friction",),
     "cohesionenergydensity": ("cohesion_energy_density",),
     "cor": ("restitution",),
+    "conveyor": ("surface_velocity", "motion"),
     "dt": ("time_step",),
     "dump": ("output", "interval"),
     "e": ("young_modulus", "restitution"),
@@ -90,6 +92,8 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "stl": ("mesh",),
     "stream": ("inlet",),
     "surfaceenergy": ("work_of_adhesion",),
+    "surfacevel": ("surface_velocity", "motion"),
+    "surfacevelocity": ("surface_velocity", "motion"),
     "target": ("force", "pressure"),
     "timestep": ("time_step",),
     "tsuji": ("hertz",),

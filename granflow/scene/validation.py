@@ -32,10 +32,11 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain", "particles", "output"), regions.lees_edwards),
     (("output", "stages", "domain"), output.field_grids),
     (("output", "gravity", "domain"), output.metrics),
-    (("output", "expect"), output.expected_names),
-    (("output", "expect"), output.expected_parts),
-    (("output", "expect"), output.expected_metrics),
-    (("output", "expect"), output.wall_forces),
+    (("output", "expect", "stages"), output.expected_names),
+    (("output", "expect", "stages"), output.expected_parts),
+    (("output", "expect", "stages"), output.expected_metrics),
+    (("output", "expect", "stages"), output.wall_forces),
+    (("stages", "walls"), output.condition_columns),
 )
 """Sections that must be complete, and the check that needs them."""
 

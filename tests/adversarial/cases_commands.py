@@ -99,7 +99,7 @@ INVALID = [
     line("check_small_region", "check beads.yaml --set particles.beads.count=1000", "only"),
     line("explain_until", "explain beads.yaml --until 1s", "--measure"),
     line("explain_missing", "explain no.yaml", "no such file"),
-    line("schema_extra", "schema beads.yaml", "unrecognized arguments"),
+    line("schema_extra", "schema beads.yaml", "is not a key of a scene"),
     line("collide_material", "collide --material butter --diameter 1mm --velocity 1", "butter"),
     line("collide_law", "collide --law newton --material stainless_316 --diameter 1mm --velocity 1", "newton"),
     line("collide_unit", "collide --material stainless_316 --diameter 1kg --velocity 1", "kg is a unit of mass"),

@@ -11,6 +11,9 @@ from ruamel.yaml import YAML
 import granflow
 from granflow import fields
 from granflow.cli.main import build_parser
+from granflow.scene.reference import schema_keys
+from granflow.scene.reference.examples import example_of
+from granflow.scene.reference.value_types import type_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,22 +29,22 @@ def tools_on_path(monkeypatch):
 
 @pytest.fixture
 def keys():
-    return list(docsite("scene_schema").all_keys())
+    return list(schema_keys.all_keys())
 
 
 def test_every_scene_key_has_a_description_and_a_type_and_is_in_the_reference(keys):
     page, anchor = docsite("scene_reference").page(), docsite("scene_reference").key_anchor
     assert len(keys) > 200
     for key in keys:
-        assert key.description and docsite("value_types").type_text(key.schema), key
+        assert key.description and type_text(key.schema), key
         assert f'<span id="{anchor(key)}"></span>`{key.name}`' in page
 
 
 def test_undocumented_key_is_an_error():
-    reference, schema = docsite("scene_reference"), docsite("scene_schema")
-    key = schema.Key("cone", "radius_from", {"type": "number"}, True)
+    reference = docsite("scene_reference")
+    key = schema_keys.Key("cone", "radius_from", {"type": "number"}, True)
     with pytest.raises(reference.UndocumentedError, match="radius_from has no description"):
-        reference.row(schema.Key("Cone", key.name, key.schema, True))
+        reference.row(schema_keys.Key("Cone", key.name, key.schema, True))
 
 
 def test_links_of_the_scene_reference_have_targets():
@@ -51,9 +54,9 @@ def test_links_of_the_scene_reference_have_targets():
 
 
 def test_examples_of_keys_are_valid(keys):
-    definitions = {"$defs": docsite("scene_schema").parts()["scene"]["$defs"]}
+    definitions = {"$defs": schema_keys.parts()["scene"]["$defs"]}
     for key in keys:
-        example = docsite("scene_examples").example_of(key)
+        example = example_of(key)
         value = YAML(typ="safe").load(example)[key.name]
         jsonschema.Draft202012Validator(definitions | key.schema).validate(value)
 
@@ -63,7 +66,7 @@ def test_units_of_types_agree_with_descriptions(keys):
     found = 0
     for key in keys:
         described = re.search(r"\[((?:m|s|k|k?g|J|N|Pa|rad)[^\]]*)\]", key.description)
-        typed = set(re.findall(r"number \[(.*?)\]", docsite("value_types").type_text(key.schema)))
+        typed = set(re.findall(r"number \[(.*?)\]", type_text(key.schema)))
         if described and typed:
             found += 1
             assert described[1] in typed, key

@@ -122,6 +122,7 @@ def test_floor_carries_the_weight_in_every_row(tmp_path, taichi_f64):
     assert {float(row["wall_force_z.lid [N]"]) for row in rows} == {0.0}
     assert "wall_pressure.floor [Pa]" not in rows[0]
     assert result.numbers["wall_force_largest.floor"] == pytest.approx(weight, rel=1e-9)
+    assert result.numbers["wall_force_z_last.floor"] == float(rows[-1]["wall_force_z.floor [N]"])
     assert set(result.run) == set(RUN_QUANTITIES), "check accepts expectations of every number of a run"
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from granflow.geometry.catalog import reach_about
-from granflow.geometry.motion import Rotation, Translation, Vibration, pose, speed_bound
+from granflow.geometry.motion import Rotation, SurfaceVelocity, Translation, Vibration, pose
+from granflow.geometry.motion_speed import speed_bound
 from granflow.geometry.plane import half_space, rectangle
 from granflow.geometry.revolved import cylinder, disc
 from granflow.scene.jsonschema import json_schema
@@ -116,6 +117,50 @@ def test_speed_bound_is_the_maximum_speed():
     assert bound == pytest.approx(0.01 * 50 * pi + np.sqrt(0.14) + 5.0 * 0.4)
     vibration = pose([Vibration((0, 0, 1), 0.01, 10.0)], np.linspace(0, 1, 1000))
     assert np.abs(vibration.velocity).max() == pytest.approx(speed_bound([Vibration((0, 0, 1), 0.01, 10.0)], 1.0))
+
+
+RAMPS = [
+    Translation((0.1, 0.2, -0.3), start=0.1, end=0.9, initial_velocity=(0.0, -0.4, 0.2), ramp_duration=0.25),
+    Rotation((0.3, 0.1, 0.2), AXIS, 5.0, start=0.3, end=0.8, initial_angular_velocity=-3.0, ramp_duration=0.2),
+]
+
+
+def test_ramps_change_velocities_linearly():
+    """Half-way through the ramp the velocity is the mean of both; the displacement is that of the mean velocity."""
+    times = np.array([0.1, 0.225, 0.35, 0.5, 1.0])
+    found = pose(RAMPS[:1], times)
+    first, last = np.array(RAMPS[0].initial_velocity), np.array(RAMPS[0].velocity)
+    np.testing.assert_allclose(found.velocity, [first, (first + last) / 2, last, last, 0.0 * last], atol=1e-15)
+    in_ramp = 0.25 * (first + last) / 2
+    np.testing.assert_allclose(found.offset[2:], [in_ramp, in_ramp + 0.15 * last, in_ramp + 0.55 * last], atol=1e-15)
+
+
+def test_velocities_of_ramps_are_derivatives_of_the_pose():
+    points, step = np.random.default_rng(3).uniform(-1, 1, (5, 3)), 1e-6
+    times = np.random.default_rng(4).uniform(0.0, 1.0, 400)
+    switches = np.array([0.1, 0.3, 0.35, 0.5, 0.8, 0.9])
+    times = times[np.abs(times[:, None] - switches).min(axis=1) > 2 * step]
+    poses, now = pose(RAMPS, times), moved(points, RAMPS, times)
+    arms = now - poses.pivot - poses.offset[:, None, :]
+    velocity = poses.velocity[:, None, :] + np.cross(poses.angular_velocity[:, None, :], arms)
+    difference = (moved(points, RAMPS, times + step) - moved(points, RAMPS, times - step)) / (2 * step)
+    # Rounding: eps / step; third derivative: 3 w (dw/dt) r + w^3 r, below 1e4.
+    np.testing.assert_allclose(velocity, difference, atol=1e4 * step**2 / 6 + 1e-15 / step)
+
+
+def test_speed_bound_contains_the_start_of_ramps():
+    assert speed_bound(RAMPS, 0.4) == pytest.approx(np.sqrt(0.2) + 5.0 * 0.4)
+    assert speed_bound([RAMPS[1], Translation((0.0, 0.0, 0.1))], 1.0) == pytest.approx(5.1)
+
+
+def test_surface_velocity_turns_with_the_wall_and_does_not_move_it():
+    surface = SurfaceVelocity((0.0, 3.0, 0.0), start=0.5, initial_velocity=(0.0, 1.0, 0.0), ramp_duration=1.0)
+    turning = Rotation((1, 0, 0), (0, 0, 1), pi / 2)
+    found, alone = (pose(motions, np.array([0.4, 1.0, 2.0])) for motions in ([turning, surface], [turning]))
+    np.testing.assert_allclose(found.surface_velocity, [[0, 0, 0], [-2, 0, 0], [0, -3, 0]], atol=1e-15)
+    for name in ("offset", "rotation", "velocity", "angular_velocity", "pivot"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+    assert speed_bound([surface], 1.0) == 0.0
 
 
 def test_reach_excludes_surfaces_that_rotation_leaves_unchanged():

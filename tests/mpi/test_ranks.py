@@ -68,6 +68,7 @@ def test_any_number_of_ranks_gives_the_same_bits_over_3000_steps(tmp_path, scene
 ACTIVE = {
     "inserted": "totals.deleted_count",
     "outlet": "totals.outlet_count.hole",
+    "belt": "totals.wall_work",
     "servo": "totals.wall_displacement.high_z",
     "free": "totals.wall_displacement.high_z",
     "sheared": "totals.boundary_work",
@@ -87,6 +88,7 @@ ACTIVE = {
         "outlet",
         "servo",
         "free",
+        "belt",
         "adaptive",
         "sheared",
         "mixed",
@@ -135,7 +137,11 @@ def run_on_ranks(ranks, *arguments):
 
 
 def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
-    scene = small_scene(tmp_path)
+    """The first stage ends on a quantity: when the particles touch, after 1 ms."""
+    condition = {"quantity": "contact_count", "above": 0}
+    stages = [{"name": "approach", "until": condition, "max_duration": 1.0}, {"name": "rest", "duration": 1e-3}]
+    output = {"interval": 1e-3, "timeseries_interval": 1e-5}
+    scene = small_scene(tmp_path, stages=stages, run={"velocity_max": 1.0}, output=output)
     one = alone("-m", "granflow", "run", scene, "--out", tmp_path / "one")
     two = run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "two")
     assert (one.returncode, two.returncode) == (0, 0), two.stderr[-2000:]

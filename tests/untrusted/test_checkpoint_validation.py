@@ -108,6 +108,7 @@ CHANGES = {
     "walls": (put("engine", "walls_present", value=[True] * 50), "must be a list of 1"),
     "energy_budget": (put("engine", "energy_budget", "losses", value=np.zeros((10**6, 5))), "losses is an array"),
     "stage": (put("stage_progress", "stage", value="\x1b[2J"), "stage is "),
+    "conditions": (put("stage_progress", "conditions", "met", value=5), "met is "),
     "stage times": (put("stage_progress", "stage_times", value={}), "stage_times has other stages"),
     "plan": (put("plan", value={}), "plan has the keys none"),
     "value of the plan": (put("plan", "time_step", value=[]), "must be a number or a text"),

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 
 from docsite.markdown import code, table
-from docsite.scene_schema import si_unit
 from granflow import fields
 from granflow.fields import FieldSpec, Quantity
+from granflow.scene.reference.schema_keys import si_unit
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
 from granflow.scene.schema.presets import PRESETS
 from granflow.scene.schema.units import DIMENSIONS
@@ -76,6 +76,7 @@ def vtu_arrays() -> str:
         Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
         Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
         Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
+        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
     ]
     return "\n".join(
         [

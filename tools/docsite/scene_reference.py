@@ -4,14 +4,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from docsite.markdown import anchor, code, table
-from docsite.scene_examples import example_of
-from docsite.scene_schema import ROOT, Key, keys, parts, places, variant
-from docsite.value_types import first_key, range_text, type_text
+from granflow.scene.reference.examples import example_of
+from granflow.scene.reference.schema_keys import ROOT, Key, keys, parts, places, variant
+from granflow.scene.reference.value_types import first_key, range_text, type_text
 
 INTRODUCTION = """\
 # Scene keys
 
-This page is generated from the schema that reads scenes; `granflow schema` prints the same schema for editors. A
+This page is generated from the schema that reads scenes; `granflow schema` prints the same schema for editors, and
+`granflow schema walls.motion.servo` one block or key of it. A
 number without a unit is in the SI unit in brackets; text with a unit is accepted as well, such as `4 mm`, `1 GPa`,
 `30 deg` ([units](units.md)). In a path, `NAME` is a name of your choice (lowercase letters, digits and `_`), and `[]`
 is an item of a list. Material and contact properties have no defaults. `granflow check SCENE` reports all errors of a
@@ -56,7 +57,7 @@ def title(part: str) -> str:
 
 def row(key: Key) -> tuple[str, ...]:
     """Cells of a key. Raises UndocumentedError without description or type."""
-    kind = type_text(key.schema)
+    kind = type_text(key.schema, part_link)
     if not key.description or not kind:
         path = f"{places()[key.part][0]}.{key.name}".lstrip(".")
         raise UndocumentedError(f"{path} has no {'type' if key.description else 'description'} in the schema")
@@ -64,6 +65,11 @@ def row(key: Key) -> tuple[str, ...]:
     default = "required" if key.default == "required" else f"default: {code(key.default)}"
     value = [kind, range_text(key.schema), default]
     return name, "<br>".join(filter(None, value)), f"{key.description}<br>{code(example_of(key))}"
+
+
+def part_link(part: str, label: str) -> str:
+    """Link to the section of a part: the key that selects it, or the label."""
+    return f"[{variant(part) or label}](#{anchor(part)})"
 
 
 def key_anchor(key: Key) -> str:

@@ -191,7 +191,7 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
     @ti.func
     def add_to_accounting(chunk, i, j, pose, normal, found, dt):
         if ti.static(features.energy_budget):
-            add_losses(chunk, list_shares(chunk, j), found, wall_work(i, j, pose, found, dt))
+            add_losses(chunk, list_shares(chunk, j), found, wall_work(i, j, pose, normal, found, dt))
             if ti.static(features.lees_edwards and not with_wall):
                 add_boundary_work(chunk, i, j, found.force, pose, dt)
         if ti.static(force_controlled):
@@ -203,9 +203,9 @@ def _build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
 
 def _build_wall_work(state: State, with_wall: bool) -> Any:
-    """Device function: work of the prescribed wall motion on particle i in this step [J].
+    """Device function: work of prescribed wall motion and surface velocity on particle i in this step [J].
 
-    Arguments: i, j, pose, result of the pair force, time step [s].
+    Arguments: i, j, pose, normal, result of the pair force, time step [s].
 
     Reads:  position, velocities of walls
     """
@@ -213,12 +213,14 @@ def _build_wall_work(state: State, with_wall: bool) -> Any:
     moving = with_wall and state.plan.features.moving_walls
 
     @ti.func
-    def wall_work(i, j, pose, found, dt):
+    def wall_work(i, j, pose, normal, found, dt):
         work = 0.0 * dt
         if ti.static(moving):
             velocity = geometry.prescribed_velocity(-1 - j, pose, state.particles.position[i])
             angular_velocity = state.walls.angular_velocity[pose, wall_of(j)]
             work = dt * (found.force.dot(ti.cast(velocity, real)) + found.torque.dot(ti.cast(angular_velocity, real)))
+            if ti.static(state.plan.features.surface_velocity):
+                work += dt * found.force.dot(geometry.surface_velocity(-1 - j, pose, normal))
         return work
 
     return wall_work

@@ -105,9 +105,9 @@ def _build_overlap_and_rate(state: State) -> Any:
             overlap, rate = kinematics.overlap, kinematics.overlap_rate_half
         elif ti.static(has_walls):
             gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
-            surface = geometry.surface_velocity(-1 - j, 0, particles.position[i])
+            wall_velocity = geometry.velocity(-1 - j, 0, particles.position[i])
             overlap = ti.cast(particles.radius[i] - gap, real)
-            rate = -(particles.velocity[i] - ti.cast(surface, real)).dot(ti.cast(normal, real))
+            rate = -(particles.velocity[i] - ti.cast(wall_velocity, real)).dot(ti.cast(normal, real))
         return overlap, rate
 
     return overlap_and_rate

@@ -87,15 +87,17 @@ def _build_wall_kinematics(state: State) -> Any:
         if found.overlap > 0.0:
             found.normal = ti.cast(direction, real)
             contact_point = particles.position[i] - gap * direction
-            surface = ti.cast(geometry.surface_velocity(-1 - j, pose, contact_point), real)
-            velocity_rel_half = particles.velocity[i] - surface
+            wall_velocity = ti.cast(geometry.velocity(-1 - j, pose, contact_point), real)
+            velocity_rel_half = particles.velocity[i] - wall_velocity
             found.overlap_rate_half = -velocity_rel_half.dot(found.normal)
             found.overlap_rate = found.overlap_rate_half
             if ti.static(features.rate_dependent):
-                found.overlap_rate = -(particles.velocity_synchronized[i] - surface).dot(found.normal)
+                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity).dot(found.normal)
             found.velocity_tangential = velocity_rel_half + found.overlap_rate_half * found.normal
             distance = ti.max(ti.cast(gap, real), 0.5 * radius)
             found.normal_half = found.normal - (0.5 * time_step / distance) * found.velocity_tangential
+            if ti.static(features.surface_velocity):  # it does not turn the normal
+                found.velocity_tangential -= geometry.surface_velocity(-1 - j, pose, found.normal)
         return found
 
     return wall_kinematics

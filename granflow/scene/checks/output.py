@@ -106,11 +106,27 @@ def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
 
 
 def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]]:
-    """Key path, quantity and part of each expectation; the part is None for a quantity of the whole run."""
-    for index, expectation in enumerate(scene.expect):
-        quantity, dot, part = expectation.quantity.partition(".")
-        yield ("expect", index, "quantity"), quantity, part if dot else None
+    """Key path, quantity and part of each expectation and each condition of a stage.
 
+    The part is None for a quantity of the whole run.
+    """
+    named: list[tuple[KeyPath, str]] = [
+        (("expect", index, "quantity"), each.quantity) for index, each in enumerate(scene.expect)
+    ]
+    for number, stage in enumerate(scene.stages):
+        named += [
+            (("stages", number, "until", index, "quantity"), each.quantity) for index, each in enumerate(stage.until)
+        ]
+    for path, name in named:
+        quantity, dot, part = name.partition(".")
+        yield path, quantity, part if dot else None
+
+
+RESULT_ONLY = {
+    *(*RUN_QUANTITIES, "timings", "wall_force", "wall_torque"),
+    *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
+}
+"""Quantities of the result that rows of the time series do not have."""
 
 _WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
 """Quantities of the whole run."""
@@ -141,6 +157,19 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
             yield Fault(path, f"there is no such quantity. {remedy}")
         elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
+
+
+def condition_columns(parts: PartialScene) -> Iterator[Fault]:
+    """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
+    for number, stage in enumerate(parts.scene.stages):
+        for index, condition in enumerate(stage.until):
+            path: KeyPath = ("stages", number, "until", index, "quantity")
+            quantity, _, part = condition.quantity.partition(".")
+            wall = parts.scene.walls.get(part)
+            if quantity in WALL_QUANTITIES and wall and not any(each.kind in ("servo", "free") for each in wall.motion):
+                yield Fault(path, f"{part} is neither a servo nor a free wall; its displacement follows from the time")
+            elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
+                yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
 
 
 def expected_parts(parts: PartialScene) -> Iterator[Fault]:

@@ -258,9 +258,16 @@ def _matching(pattern: str, reason: str) -> tuple[AfterValidator, WithJsonSchema
 
 
 _name = _matching(_NAME, "a name begins with a lowercase letter and contains only lowercase letters, digits and _")
+_wall_name = _matching(
+    rf"{_NAME}(\.(left|right|front|back|bottom|top))?",
+    "a name begins with a lowercase letter and contains only lowercase letters, digits and _",
+)
 _pair_name = _matching(f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel")
 Name = Annotated[str, _name[0], _name[1]]
 """Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
+
+WallName = Annotated[str, _wall_name[0], _wall_name[1]]
+"""Name of a wall, or of a face of a box, such as box.left."""
 
 PairName = Annotated[str, _pair_name[0], _pair_name[1]]
 """Names of two materials joined by a hyphen, in either order."""

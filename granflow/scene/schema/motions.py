@@ -2,13 +2,20 @@
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
-from granflow.scene.schema.faults import Fault, redundant, whole
-from granflow.scene.schema.fields import Model, Names, choose_by_key
+from granflow.scene.schema.faults import Fault, missing, redundant, whole
+from granflow.scene.schema.fields import ListOf, Model, Names, choose_by_key
+from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.shapes import FileBelow
+
+_T = TypeVar("_T")
+_Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
+_Displacement = Annotated[float, Number("length")]
 
 
 class TimedMotion(Model):
@@ -82,19 +89,49 @@ class Vibration(TimedMotion):
         return (peak / omega**2 if self.amplitude is None else self.amplitude), omega
 
 
-class Translation(TimedMotion):
-    """Motion at a constant velocity [m/s].
+class VelocityMotion(TimedMotion):
+    """A velocity [m/s] that is constant, or changes linearly during a ramp at the start."""
+
+    velocity: q.VelocityVector = Field(description="velocity [m/s], after the ramp if there is one")
+    ramp_duration: q.PositiveTime | None = Field(
+        None, description="time from the start during which the velocity changes linearly [s]; default: no ramp"
+    )
+    initial_velocity: q.VelocityVector | None = Field(
+        None, description="with ramp_duration: velocity at the start [m/s]; default: 0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial velocity without ramp."""
+        yield from super().faults()
+        if self.initial_velocity is not None and self.ramp_duration is None:
+            yield missing(("ramp_duration",), "the time during which initial_velocity changes to velocity")
+
+
+class Translation(VelocityMotion):
+    """Motion at a velocity [m/s] that is constant, or changes linearly during a ramp at the start.
 
     >>> gf.Translation(velocity=[0, 0, "10 cm/s"], start="0.5 s")
     Translation(start=0.5, velocity=(0.0, 0.0, 0.1))
     """
 
     kind: Literal["translation"] = Field("translation", description="kind of motion")
-    velocity: q.VelocityVector = Field(description="velocity [m/s]")
+
+
+class SurfaceVelocity(VelocityMotion):
+    """Velocity of the surface along itself, as of a conveyor belt: the surface moves, the shape of the wall does not.
+
+    The velocity is given in the frame of the wall and rotates with it. At each contact the component in the contact
+    plane acts, v - (v . n) n: friction drives the particles, and faces across the velocity are at rest.
+
+    >>> gf.SurfaceVelocity(velocity=["1 m/s", 0, 0], ramp_duration="0.2 s").velocity
+    (1.0, 0.0, 0.0)
+    """
+
+    kind: Literal["surface_velocity"] = Field("surface_velocity", description="kind of motion")
 
 
 class Rotation(TimedMotion):
-    """Rotation about an axis at a constant rate, right-handed.
+    """Rotation about an axis, right-handed, at a rate that is constant or changes linearly during a ramp at the start.
 
     The torque on the wall refers to `point`.
 
@@ -105,7 +142,97 @@ class Rotation(TimedMotion):
     kind: Literal["rotation"] = Field("rotation", description="kind of motion")
     point: q.Point = Field(description="a point on the axis [m]")
     axis: q.Direction = Field(description="direction of the axis; its length does not matter")
-    angular_velocity: q.AngularVelocity = Field(description="angular velocity [rad/s], such as 30 rpm")
+    angular_velocity: q.AngularVelocity = Field(
+        description="angular velocity [rad/s], such as 30 rpm; after the ramp if there is one"
+    )
+    ramp_duration: q.PositiveTime | None = Field(
+        None, description="time from the start during which the rate changes linearly [s]; default: no ramp"
+    )
+    initial_angular_velocity: q.AngularVelocity | None = Field(
+        None, description="with ramp_duration: angular velocity at the start [rad/s]; default: 0"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an initial angular velocity without ramp."""
+        yield from super().faults()
+        if self.initial_angular_velocity is not None and self.ramp_duration is None:
+            reason = "the time during which initial_angular_velocity changes to angular_velocity"
+            yield missing(("ramp_duration",), reason)
+
+
+TABLE_COLUMNS = {
+    "displacements": "length",
+    "velocities": "velocity",
+    "angles": "angle",
+    "angular_velocities": "angular_velocity",
+}
+"""Columns of a table of a motion besides the times, and their dimensions."""
+
+MOST_ROWS = 10_000
+"""Largest number of rows of a table; the resolved scene contains them."""
+
+
+class TableMotion(TimedMotion):
+    """Motion from a table, a CSV file or lists: times, and displacements, velocities, angles or angular velocities.
+
+    Times count from the start of the motion. Velocities are linear between rows; displacements and angles are
+    interpolated with a continuous velocity and without overshoot (Fritsch & Butland), and count from the first row. The
+    wall is at rest before the first and after the last row.
+
+    >>> gf.TableMotion(direction=[0, 0, 1], times=[0, "10 ms", "20 ms"], displacements=[0, "1 mm", 0]).displacements
+    (0.0, 0.001, 0.0)
+    """
+
+    kind: Literal["table"] = Field("table", description="kind of motion")
+    file: FileBelow | None = Field(
+        None,
+        description="CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
+        "time [ms], displacement [mm]; path relative to the folder of the scene, without ..",
+    )
+    direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
+    point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")
+    axis: q.Direction | None = Field(None, description="with angles: direction of the axis, right-handed")
+    times: _Column[q.Time] | None = Field(None, description="times [s], ascending; instead of a file, or from it")
+    displacements: _Column[_Displacement] | None = Field(None, description="displacements along the direction [m]")
+    velocities: _Column[q.Velocity] | None = Field(None, description="velocities along the direction [m/s]")
+    angles: _Column[q.Angle] | None = Field(None, description="angles about the axis [rad]")
+    angular_velocities: _Column[q.AngularVelocity] | None = Field(None, description="rates about the axis [rad/s]")
+
+    @property
+    def column(self) -> str | None:
+        """Name of the given column besides the times; None if it is not known yet, or several are given."""
+        given = [name for name in TABLE_COLUMNS if getattr(self, name) is not None]
+        return given[0] if len(given) == 1 else None
+
+    @property
+    def rotates(self) -> bool:
+        """Whether the table contains angles or angular velocities."""
+        return self.column is not None and self.column.startswith("ang")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the table is complete and a direction, or point and axis, belong to it."""
+        yield from super().faults()
+        if self.file is None and (self.times is None or self.column is None):
+            yield whole((), f"has no table: give file, or times and one of {', '.join(TABLE_COLUMNS)}")
+        elif self.times is not None and self.column is not None:
+            yield from self._row_faults(self.times, getattr(self, self.column))
+        if self.direction is None and (self.point is None or self.axis is None):
+            yield whole((), "has neither direction (translation) nor point and axis (rotation)")
+        elif self.direction is not None and (self.point is not None or self.axis is not None):
+            yield redundant("direction", "point or axis")
+        elif self.column is not None and self.rotates == (self.direction is not None):
+            needed = "point and axis" if self.rotates else "direction"
+            yield whole((), f"contains {self.column.replace('_', ' ')}, which require {needed}")
+
+    def _row_faults(self, times: tuple[float, ...], values: tuple[float, ...]) -> Iterator[Fault]:
+        if len(times) < 2 or len(times) > MOST_ROWS:
+            yield Fault(("times",), f"a table has 2 to {MOST_ROWS} rows")
+        if len(values) != len(times):
+            yield Fault((str(self.column),), f"{len(times)} values are expected, one for each of the times")
+        for index, (before, after) in enumerate(pairwise(times), start=1):
+            if after <= before:
+                yield Fault(("times", index), f"times must ascend, and the one before is {before:g} s")
+                return
 
 
 class Servo(TimedMotion):
@@ -157,5 +284,7 @@ class FreeWall(TimedMotion):
     damping: q.Damping = Field(0.0, description="viscous damping constant, force over velocity [kg/s]")
 
 
-MotionSpec = Annotated[Vibration | Translation | Rotation | Servo | FreeWall, choose_by_key("kind")]
+MotionSpec = Annotated[
+    Vibration | Translation | Rotation | TableMotion | SurfaceVelocity | Servo | FreeWall, choose_by_key("kind")
+]
 """Any kind of motion; the key `kind` selects it."""

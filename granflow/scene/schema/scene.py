@@ -7,7 +7,7 @@ in `RunSettings` and `Numerics`.
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from pydantic import Field, PrivateAttr
+from pydantic import AfterValidator, Field, PrivateAttr
 
 from granflow.scene.document import Document
 from granflow.scene.schema import quantities as q
@@ -15,7 +15,7 @@ from granflow.scene.schema.contact import Contact
 from granflow.scene.schema.damping import Damping
 from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.expect import Expectation
-from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text
+from granflow.scene.schema.fields import FileName, ListOf, Model, Name, PairName, Text, WallName
 from granflow.scene.schema.materials import Material, MaterialPair
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.outlets import Outlet
@@ -23,7 +23,7 @@ from granflow.scene.schema.output import Output
 from granflow.scene.schema.particles import Group
 from granflow.scene.schema.run import Numerics, RunSettings
 from granflow.scene.schema.stages import Stage
-from granflow.scene.schema.walls import AnyWall
+from granflow.scene.schema.walls import AnyWall, with_faces
 from granflow.scene.writer import to_yaml
 
 Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
@@ -51,7 +51,7 @@ class SceneInput(Model):
     damping: Damping | None = Field(
         None, description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
     )
-    walls: dict[Name, AnyWall] = Field({}, description="walls by name")
+    walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field({}, description="walls by name")
     particles: dict[Name, Group] = Field(description="groups of particles by name")
     start_from: FileName | None = Field(
         None, description="directory of an earlier run; its last particles replace those of groups with the same name"

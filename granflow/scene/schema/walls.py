@@ -1,15 +1,15 @@
 """Schema of the block `walls`: shapes, materials and presence of walls."""
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, redundant, whole
-from granflow.scene.schema.fields import ListOf, Model, Names, Text, choose_by_key
+from granflow.scene.schema.fields import Flag, ListOf, Model, Names, Text, choose_by_key
 from granflow.scene.schema.motions import MotionSpec
-from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.numbers import Number, value_error
 from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
@@ -37,7 +37,11 @@ class Wall(Model):
             yield redundant("stages", "appears_at or vanishes_at", keep="either the times or the stages")
         elif self.vanishes_at is not None and self.vanishes_at <= (self.appears_at or 0.0):
             yield Fault(("vanishes_at",), f"the wall must vanish after it appears at {self.appears_at or 0.0:g} s")
-        rotations = [i for i, motion in enumerate(self.motion) if motion.kind == "rotation"]
+        rotations = [
+            i
+            for i, motion in enumerate(self.motion)
+            if motion.kind == "rotation" or (motion.kind == "table" and motion.axis is not None)
+        ]
         for i in rotations[1:]:
             yield whole(("motion", i), "is a second rotation; a wall has at most one")
 
@@ -150,5 +154,94 @@ class MeshWall(Wall):
     translate: q.Point = Field((0.0, 0.0, 0.0), description="displacement of the mesh [m]")
 
 
-AnyWall = Annotated[Plane | Rectangle | Cylinder | Cone | Disc | MeshWall, choose_by_key("shape")]
+FaceName = Literal["left", "right", "front", "back", "bottom", "top"]
+"""Faces of a box at the smallest and the largest x, y and z."""
+
+FACES: tuple[FaceName, ...] = get_args(FaceName)
+
+
+class BoxWall(Wall):
+    """A box with edges along the coordinate axes, from `min` to `max`, for particles inside; faces can be open.
+
+    It stands for up to six walls with the names NAME.left and NAME.right (smallest and largest x), NAME.front and
+    NAME.back (y), NAME.bottom and NAME.top (z), all with the same material, presence and motion. The faces are planes:
+    infinite, also beyond an open face. With `finite` they are rectangles.
+
+    >>> gf.BoxWall(material="steel", min=[0, 0, 0], max=["5 cm", "5 cm", "10 cm"], open=["top"]).open
+    ('top',)
+    """
+
+    shape: Literal["box"] = Field("box", description="shape of the wall")
+    min: q.Point = Field(description="corner with the smallest coordinates [m]")
+    max: q.Point = Field(description="corner with the largest coordinates [m]")
+    open: Annotated[tuple[FaceName, ...], ListOf(some="[top]")] = Field(
+        (), description="faces without a wall: left, right (x), front, back (y), bottom, top (z)"
+    )
+    finite: Flag = Field(
+        False, description="true: rectangles, which have a pressure and end at the box; false: infinite planes"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an empty extent, an open box without faces, and motions of single walls."""
+        yield from super().faults()
+        for i, (low, high) in enumerate(zip(self.min, self.max, strict=True)):
+            if high <= low:
+                yield Fault(("max", i), f"it must be above min, {low:g} m")
+        if set(self.open) == set(FACES):
+            yield Fault(("open",), "all six faces are open; leave one closed, or remove the wall")
+        for i, motion in enumerate(self.motion):
+            if motion.kind in ("servo", "free"):
+                reason = "moves one wall: replace the box by single walls, or open this face and add it as a rectangle"
+                yield whole(("motion", i), f"is of kind {motion.kind}, which {reason}")
+
+    def faces(self) -> Iterator[tuple[FaceName, Plane | Rectangle]]:
+        """Yield the closed faces by name, as walls with the properties of the box."""
+        shared: dict[str, Any] = {name: getattr(self, name) for name in Wall.model_fields if name != "shape"}
+        for number, name in enumerate(FACES):
+            if name not in self.open:
+                axis, is_high = divmod(number, 2)
+                yield (
+                    name,
+                    self._rectangle(axis, is_high, shared) if self.finite else self._plane(axis, is_high, shared),
+                )
+
+    def _plane(self, axis: int, is_high: int, shared: dict[str, Any]) -> Plane:
+        """The plane across an axis at the smallest or largest coordinate, with its normal toward the inside."""
+        normal = [0.0, 0.0, 0.0]
+        normal[axis] = -1.0 if is_high else 1.0
+        return Plane.model_construct(point=self._corner(axis, is_high), normal=_vector(normal), **shared)
+
+    def _rectangle(self, axis: int, is_high: int, shared: dict[str, Any]) -> Rectangle:
+        """The rectangle across an axis at the smallest or largest coordinate."""
+        size = [high - low for low, high in zip(self.min, self.max, strict=True)]
+        first, second = (_vector([size[k] * (i == k) for i in range(3)]) for k in range(3) if k != axis)
+        return Rectangle.model_construct(corner=self._corner(axis, is_high), sides=(first, second), **shared)
+
+    def _corner(self, axis: int, is_high: int) -> q.Vector3:
+        return _vector([(self.max if i == axis and is_high else self.min)[i] for i in range(3)])
+
+
+def _vector(values: list[float]) -> q.Vector3:
+    x, y, z = values
+    return x, y, z
+
+
+AnyWall = Annotated[Plane | Rectangle | Cylinder | Cone | Disc | BoxWall | MeshWall, choose_by_key("shape")]
 """A wall of any shape; the key `shape` selects it."""
+
+
+def with_faces(walls: dict[str, Wall]) -> dict[str, Wall]:
+    """The walls with the faces of each valid box in its place, named BOX.FACE; an invalid box remains.
+
+    Raises PydanticCustomError if the scene gives a wall of that name, too.
+    """
+    found: dict[str, Wall] = {}
+    for name, wall in walls.items():
+        if isinstance(wall, BoxWall) and not any(wall.faults()):
+            for face, each in wall.faces():
+                if f"{name}.{face}" in walls:
+                    raise value_error(f"{name}.{face} is also a face of the box {name}; rename one of them")
+                found[f"{name}.{face}"] = each
+        else:
+            found[name] = wall
+    return found

@@ -170,10 +170,8 @@ def write_best_scenes(
 
 
 def _copy_inputs(scene: Scene, out: Path) -> None:
-    """Copy the mesh and particle files of a scene to the directory, to the paths that the scene contains."""
-    files = [wall.file for wall in scene.walls.values() if wall.shape == "mesh"]
-    files += [group.insert.file for group in scene.particles.values() if group.insert.kind == "file"]
-    for name in files:
+    """Copy the input files of a scene to the directory, to the paths that the scene contains."""
+    for name in (name for _, name in scene.input_names() if (scene.folder / name).exists()):
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         if (out / name).resolve() != (scene.folder / name).resolve():
             shutil.copyfile(scene.folder / name, out / name)

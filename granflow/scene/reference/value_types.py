@@ -1,15 +1,25 @@
 """Type, unit and allowed range of the value of a key in words, from its JSON Schema."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from docsite.markdown import anchor
-from docsite.scene_schema import alternatives, dimension_of, parts, referenced, si_unit, variant
+from granflow.scene.reference.schema_keys import alternatives, dimension_of, parts, referenced, si_unit, variant
+
+Link = Callable[[str, str], str]
+"""Function of the name of a part and a label that returns the text for the part."""
 
 
-def type_text(schema: dict[str, Any]) -> str:
-    """Types that a key accepts, with unit and links to parts; never empty."""
-    found = list(dict.fromkeys(_types(schema)))
+def plain_label(part: str, label: str) -> str:
+    """The key that selects a part, or the label."""
+    return variant(part) or label
+
+
+def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
+    """Types that a key accepts, with unit; never empty.
+
+    `link`: function of the name of a part and a label that returns the text for the part.
+    """
+    found = list(dict.fromkeys(_types(schema, link)))
     if len(found) > 1:
         found = [each for each in found if each != "number"] if any("with unit" in each for each in found) else found
     return " or ".join(found)
@@ -20,32 +30,27 @@ def range_text(schema: dict[str, Any]) -> str:
     return "; ".join(dict.fromkeys(_ranges(schema)))
 
 
-def part_link(part: str, label: str) -> str:
-    """Link to the section of a part: the key that selects it, or the label."""
-    return f"[{variant(part) or label}](#{anchor(part)})"
-
-
 def first_key(part: str) -> str:
     """First required key of a part, which selects it in a union of parts without a key such as `kind`."""
     schema = parts()[part]
     return next(iter(schema.get("required") or schema["properties"]))
 
 
-def _types(schema: dict[str, Any]) -> Iterator[str]:
+def _types(schema: dict[str, Any], link: Link) -> Iterator[str]:
     """Types of the alternatives; a number and its text with unit are one type."""
     options = list(alternatives(schema))
     is_union = sum(referenced(each) is not None for each in options) > 1
     dimensions = [each for each in map(dimension_of, options) if each is not None]
     for each in options:
         if part := referenced(each):
-            yield part_link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
+            yield link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
         elif "prefixItems" in each:
-            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0])}"
+            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0], link)}"
         elif "items" in each:
-            yield f"list of {type_text(each['items'])}"
+            yield f"list of {type_text(each['items'], link)}"
         elif "patternProperties" in each:
             inner = next(iter(each["patternProperties"].values()))
-            yield f"names, each with {type_text(inner)}"
+            yield f"names, each with {type_text(inner, link)}"
         elif each.get("type") in ("number", "integer"):
             yield _number(each, si_unit(dimensions[0]) if dimensions else "")
         elif "enum" in each or "const" in each:

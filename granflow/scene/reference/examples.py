@@ -4,14 +4,15 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
-from docsite.scene_schema import ROOT, Key, alternatives, as_yaml, dimension_of, parts, referenced
+from granflow.io.shipped_files import example_paths
+from granflow.scene.reference.schema_keys import ROOT, Key, alternatives, as_yaml, dimension_of, parts, referenced
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
+NO_SCENES = ("sweeps/", "calibration/")
+"""Folders of shipped files that are not scenes."""
 LONGEST = 72
 """Characters of the longest example from a scene."""
 TEXTS = {
@@ -36,6 +37,8 @@ VECTORS = {
 EXAMPLES = {
     "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
     "phase": "90 deg",
+    "motion": "{kind: vibration, direction: [0, 0, 1], amplitude: 1 mm, frequency: 25 Hz}",
+    "until": "{quantity: wall_pressure.lid, above: 100 kPa}",
     "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
 }
 """Examples by key where the shipped scenes have special values or none."""
@@ -64,9 +67,10 @@ def _from_scenes(key: Key) -> str:
 def _harvest() -> dict[tuple[str, str], Counter[str]]:
     """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene has it."""
     found: dict[tuple[str, str], Counter[str]] = {}
-    for pattern in ("*.yaml", "*/*.yaml"):
+    scenes = {name: path for name, path in example_paths().items() if not name.startswith(NO_SCENES)}
+    for depth in (0, 1):
         known = set(found)
-        for path in sorted(SCENES.glob(pattern)):
+        for path in (path for name, path in scenes.items() if name.count("/") == depth):
             for part, name, value in _values(ROOT, YAML(typ="safe").load(path)):
                 if (part, name) not in known:
                     found.setdefault((part, name), Counter())[as_yaml(value)] += 1

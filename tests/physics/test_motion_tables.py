@@ -1,0 +1,134 @@
+"""Walls that follow a table: the particles on them, the files, and the continuation of a run."""
+
+import numpy as np
+import pytest
+from resume.runs import files_of, states_of
+from resume.test_bit_identity import resume_copy, run_to_end
+from scene_builders import build_scene, particle_group, plane, run_and_sample
+
+from granflow.errors import SceneError
+from granflow.load import load
+from granflow.plan.build import plan_for
+from granflow.plan.explain import explain
+from granflow.simulation import Simulation
+
+GRAVITY, RADIUS = 9.81, 0.005
+OVERLAP = 1e-5
+"""Upper bound of the overlap with the floor [m]: 1.9e-6 at rest (Hertz), 3.9e-6 at the load 2 m (g + 5 m/s2)."""
+
+
+def scene_on(motion, **parts):
+    """A sphere at rest on a floor that follows a table."""
+    defaults = {
+        "gravity": [0.0, 0.0, -GRAVITY], "pair": {"restitution": 0.0},
+        "run": {"duration": 0.05, "velocity_max": 0.5}, "output": {"interval": 1.0, "energy_budget": True},
+    }  # fmt: skip
+    walls = {"floor": plane([0, 0, 0], [0, 0, 1], motion={"kind": "table", **motion})}
+    return build_scene({"ball": particle_group([0, 0, RADIUS - 1e-7])}, walls=walls, **(defaults | parts))
+
+
+def test_a_sphere_follows_a_lifted_floor(taichi_f64):
+    """A lift by 2 mm in 40 ms with accelerations of 5 m/s2, below g: s = (5/2) t^2 up to half of it.
+
+    The work is m g h, and the sphere is at rest again at the end. A table of zeros moves nothing.
+    """
+    height, duration = 2e-3, 0.04
+    motion = {"direction": [0, 0, 1], "times": [0, duration], "velocities": [0, 0]}
+    lift = {"direction": [0, 0, 2], "times": [0, 0.02, 0.04], "velocities": [0, 0.1, 0]}
+    snapshots = run_and_sample(scene_on(lift), 0.01)
+    mass = snapshots[0].particles["mass"][0]
+    for snapshot in snapshots:
+        t = snapshot.time
+        expected = 2.5 * t**2 if t < 0.02 else height - 2.5 * max(0.04 - t, 0.0) ** 2
+        assert snapshot.walls["floor"].offset[2] == pytest.approx(expected, abs=1e-12)
+        assert snapshot.particles["position"][0, 2] == pytest.approx(RADIUS + expected, abs=OVERLAP)
+    assert snapshots[-1].totals["wall_work"] == pytest.approx(mass * GRAVITY * height, rel=2e-3)
+    assert snapshots[-1].totals["kinetic_energy"] < 1e-6 * mass * GRAVITY * height
+    still = run_and_sample(scene_on(motion), 0.05)[-1]
+    assert still.totals["wall_work"] == pytest.approx(0.0, abs=1e-15)
+
+
+FILE = "# recorded\ntime [ms], displacement [mm]\n0, 0\n10, 0.1\n20, 0.4\n50, 0.1\n"
+
+
+def saved_scene(folder, text=FILE, **motion):
+    """File of a scene whose floor follows lift.csv."""
+    (folder / "lift.csv").write_text(text)
+    scene = scene_on({"direction": [0, 0, 1], "times": [0, 1], "displacements": [0, 0]})
+    given = scene.to_dict()
+    given["walls"]["floor"]["motion"] = [{"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})]
+    from granflow.scene.writer import to_yaml
+
+    path = folder / "scene.yaml"
+    path.write_text(to_yaml(given))
+    return path
+
+
+def test_a_csv_file_is_read_with_its_units(tmp_path):
+    scene = load(saved_scene(tmp_path))
+    (motion,) = scene.walls["floor"].motion
+    assert motion.times == pytest.approx((0, 0.01, 0.02, 0.05))
+    assert motion.displacements == pytest.approx((0, 1e-4, 4e-4, 1e-4))
+    text = explain(plan_for(scene))
+    assert "4 rows from 0 to 0.05 s" in text
+    assert ("walls.floor.motion.0.file", "lift.csv") in list(scene.input_names())
+    again = tmp_path / "again"
+    again.mkdir()
+    (again / "lift.csv").write_text(FILE)
+    assert load(scene.save(again / "scene.yaml")) == scene
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (None, r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: .* has no such file"),
+        ("", "lift.csv: the table has no rows"),
+        ("time, displacment\n0, 1\n1, 2\n", "lift.csv:1: the columns are .*mean displacement instead of displacment"),
+        ("time, velocity, angle\n0, 1, 2\n", "lift.csv:1: the columns are time, velocity, angle, but time and exactly"),
+        ("time [m], velocity\n0, 1\n", r"lift.csv:1: the unit of time \[m\] is invalid: m is a unit of length"),
+        ("time, velocity\n0, 1\n\n2\n", "lift.csv:4: the row must have 2 values"),
+        ("time, velocity\n0, 1\n1, x\n", "lift.csv:3: a finite number is expected"),
+        ("time, velocity\n0, 1\n2, 1\n2, 3\n", "lift.csv:4: times must ascend"),
+        ("time, velocity\n-1, 1\n2, 1\n", "lift.csv:2: times must ascend from row to row, from 0"),
+        ("time, velocity\n0, 1\n", "lift.csv: the table must have at least two rows"),
+    ],
+)
+def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):
+    path = saved_scene(tmp_path, text or "")
+    if text is None:
+        (tmp_path / "lift.csv").unlink()
+    with pytest.raises(SceneError, match=problem):
+        load(path)
+
+
+def test_a_file_outside_the_folder_is_refused(tmp_path):
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    path = saved_scene(inside)
+    (inside / "lift.csv").rename(tmp_path / "lift.csv")
+    (inside / "lift.csv").symlink_to(tmp_path / "lift.csv")
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load(path)
+
+
+def test_rows_closer_than_the_time_step_are_refused():
+    motion = {"direction": [0, 0, 1], "times": [0, 1e-7, 1e-3], "velocities": [0, 1e-3, 0]}
+    with pytest.raises(SceneError, match=r"walls.floor.motion.0 has rows that are 1e-07 s apart, less than the time"):
+        plan_for(scene_on(motion))
+
+
+def test_restart_within_a_table_is_bit_identical_without_the_file(tmp_path, taichi_f64):
+    """The checkpoint contains the rows: the run continues after the file was changed in the folder of the scene."""
+    source = tmp_path / "source"
+    source.mkdir()
+    path = saved_scene(source)
+    options = ["output.checkpoint.interval=5 ms", "output.checkpoint.keep=100", "output.interval=5 ms"]
+    scene = load(path, options)
+    checkpoints = run_to_end(scene, tmp_path / "whole")
+    assert (tmp_path / "whole" / "lift.csv").read_text() == FILE
+    resume_copy(scene, tmp_path / "whole", tmp_path / "parts", checkpoints[3])
+    assert files_of(tmp_path / "parts") == files_of(tmp_path / "whole")
+    assert states_of(tmp_path / "parts") == states_of(tmp_path / "whole")
+    with Simulation(load(tmp_path / "whole" / "scene_as_run.yaml")) as simulation:
+        simulation.run(until=0.02)
+        np.testing.assert_allclose(simulation.walls["floor"].pose.offset, [0, 0, 4e-4], atol=1e-9)

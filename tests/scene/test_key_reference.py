@@ -1,0 +1,74 @@
+"""Reference of scene keys in the terminal: paths, facts of a key, keys of a block, suggestions."""
+
+import json
+
+import pytest
+
+from granflow.cli.main import main
+from granflow.scene.reference.key_paths import places_of
+from granflow.scene.reference.schema_keys import all_keys, keys, parts, places
+from granflow.scene.reference.terminal import reference_of
+
+
+def test_every_key_is_found_by_its_path():
+    for key in all_keys():
+        place = places()[key.part][0]
+        found = places_of(f"{place}.{key.name}")
+        assert key.description in [each.key.description for each in found if each.key is not None], (place, key.name)
+
+
+@pytest.mark.parametrize(
+    ("path", "texts"),
+    [
+        ("run.time_step", ["run.time_step\n", "number [s] or word", "above 0; auto, adaptive", "default  auto"]),
+        ("walls.plane.point", ["walls.NAME.point\n", "list of 3: number [m]", "a point on the plane [m]", "required"]),
+        ("walls.belt.motion.surface_velocity.velocity", ["velocity [m/s], after the ramp"]),
+        ("walls.belt.motion.0.servo.gain", ["default  from stiffness and time step"]),
+        ("stages[].until.hold", ["number [s]", "at least 0", "example  hold:"]),
+        ("poisson_ratio", ["materials.NAME.poisson_ratio\n", "above -1 and at most 0.5"]),
+        ("output.wall_forces", ["true or false", "default  false"]),
+    ],
+)
+def test_a_key_has_type_unit_range_default_example_and_meaning(path, texts):
+    found = reference_of(path)
+    assert all(text in found for text in texts), found
+
+
+def test_a_name_that_several_blocks_have_lists_all_of_them():
+    assert {place.path for place in places_of("friction")} == {"pairs.NAME.friction"}
+    assert {place.path for place in places_of("angular_velocity")} >= {
+        "walls.NAME.motion.angular_velocity",
+        "particles.NAME.angular_velocity",
+    }
+
+
+def test_a_block_lists_its_keys_and_a_union_its_variants():
+    block = reference_of("numerics")
+    assert all(key.name in block and key.description.split()[0] in block for key in keys("Numerics"))
+    union = reference_of("walls")
+    assert all(f"\n  {shape} " in union for shape in ("plane", "rectangle", "cylinder", "cone", "disc", "mesh"))
+    assert "\n  corner " not in union
+    assert "\n  corner " in reference_of("walls.rectangle")
+    first_level = reference_of("")
+    assert all(f"\n  {name} " in f"\n{first_level}" for name in parts()["scene"]["properties"])
+
+
+def test_the_command_prints_the_reference_or_the_json_schema(capsys):
+    assert main(["schema", "run.duration"]) == 0
+    assert capsys.readouterr().out.startswith("run.duration\n")
+    assert main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["properties"]["run"]
+
+
+@pytest.mark.parametrize(
+    ("path", "hint"),
+    [
+        ("run.timestep", "Did you mean time_step?"),
+        ("walls.floor.frction", "Did you mean friction?"),
+        ("materials.glass.youngs_modulus", "Did you mean young_modulus?"),
+        ("xyzzy.qqq", "List the blocks with granflow schema scene."),
+    ],
+)
+def test_an_unknown_key_gets_a_suggestion(path, hint, capsys):
+    assert main(["schema", path]) == 2
+    assert capsys.readouterr().err == f"granflow: {path} is not a key of a scene. {hint}\n"
