@@ -17,6 +17,7 @@ from granflow.engine.force.damping import write_damping
 from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.gpu_stepper import GpuStepper
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.insertion import new_particle_arrays
@@ -72,7 +73,8 @@ class Engine:
 
     def _new_stepper(self) -> Stepper:
         """The stepper of the state."""
-        return Stepper(self.state, self._on_deleted)
+        kind = Stepper if self.state.backend.on_cpu else GpuStepper
+        return kind(self.state, self._on_deleted)
 
     @property
     def time(self) -> float:

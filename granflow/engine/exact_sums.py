@@ -17,6 +17,10 @@ SHARES = 2
 """Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single one."""
 
 
+REDUCED_ROWS = 1024
+"""Rows to which a GPU adds up the sums over chunks before the host reads them."""
+
+
 @ti.func
 def to_units(value):
     """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
@@ -121,6 +125,43 @@ def carried(sums, count: ti.template()):
         result[k] = sums[k] - (carry << CARRY_BITS)
         result[count + k] = sums[count + k] + carry
     return result
+
+
+def shares_rows(state: State) -> bool:
+    """Whether chunks of one particle share the rows of the sums of wall forces, by atomic additions."""
+    return state.plan.chunk_size == 1
+
+
+def chunk_words(state: State, field: Any) -> np.ndarray:
+    """Words (k, 2 terms) int64 of a sum over chunks; on a GPU added up on the device to REDUCED_ROWS rows.
+
+    field:  two-word sums by chunk
+    """
+    if state.backend.on_cpu:
+        return np.asarray(field.to_numpy())
+    rows = np.zeros((REDUCED_ROWS, field.n), np.int64)
+    state.built(_build_reduce, field)(rows)
+    return rows
+
+
+def _build_reduce(state: State, field: Any) -> Any:
+    """Kernel (rows (REDUCED_ROWS, words)): two-word sums of every REDUCED_ROWS-th chunk.
+
+    Reads:  field
+    """
+    words, length = field.n, field.shape[0]
+    external: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def reduce_chunks(rows: external):
+        for row in range(REDUCED_ROWS):
+            sums = ti.Vector.zero(ti.i64, words)
+            for k in range((length - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
+                sums = carried(sums + field[row + k * REDUCED_ROWS], words // 2)
+            for word in ti.static(range(words)):
+                rows[row, word] = sums[word]
+
+    return reduce_chunks
 
 
 def canonical(sums: np.ndarray) -> np.ndarray:

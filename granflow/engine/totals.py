@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from granflow.engine.accounting import Accounting, energy_input
-from granflow.engine.exact_sums import SHARES, exact_totals
+from granflow.engine.exact_sums import SHARES, chunk_words, exact_totals
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
@@ -65,7 +65,9 @@ def ended_contacts_dissipation(state: State) -> float:
     losses = state.control.losses
     if losses is None:
         return 0.0
-    return float(exact_totals(state.ranks.total(losses.to_numpy()), state.plan.sum_units.energy / SHARES)[PLASTIC])
+    return float(
+        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[PLASTIC]
+    )
 
 
 def energy_budget_totals(
@@ -85,13 +87,13 @@ def energy_budget_totals(
     so that rounding does not count as an energy error.
     """
     unit = state.plan.sum_units.energy / SHARES
-    words = state.ranks.total(state.control.losses.to_numpy())
+    words = state.ranks.total(chunk_words(state, state.control.losses))
     losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
     sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
     other_works = {
-        name: float(exact_totals(state.ranks.total(each.to_numpy()), unit)[0])
+        name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])
         for name, each in sums.items()
         if each is not None
     }

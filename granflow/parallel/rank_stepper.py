@@ -75,7 +75,7 @@ class RankStepper(Stepper):
             return
         field = self.state.wall_dynamics.wall_force
         by_chunk = field.to_numpy()
-        total = self._communicator.sums(by_chunk[: self.state.chunk_count].sum(axis=0))
+        total = self._communicator.sums(by_chunk[: self.state.wall_row_count].sum(axis=0))
         by_chunk[...] = 0
         by_chunk[0] = total
         field.from_numpy(by_chunk)

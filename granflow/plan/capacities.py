@@ -43,6 +43,10 @@ SPARE = 8
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
+SHARED_ROWS = 64
+"""Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic additions of
+integers are exact."""
+
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
 
@@ -94,6 +98,7 @@ class Capacities:
     measured_walls:  walls with measured forces; 0 without
     batch:           contacts of one batch on a CPU
     chunk_particles: particles of a chunk, whose force sums a CPU thread holds
+    wall_rows:       rows of the sums of wall forces, one for each chunk or SHARED_ROWS
     """
 
     particles: int
@@ -108,6 +113,7 @@ class Capacities:
     pairs: int
     batch: int
     chunk_particles: int
+    wall_rows: int
 
     @property
     def saved_entries(self) -> int:

@@ -26,6 +26,7 @@ from granflow.plan.capacities import (
     MIN_SIZE_CLASSES,
     MIN_WALLS,
     SHARE_AT_MESHES,
+    SHARED_ROWS,
     Capacities,
     near_triangles,
     neighbors_per_particle,
@@ -232,6 +233,7 @@ class Plan:
             pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
             batch=MIN_BATCH,
             chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
+            wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
         )
 
     @property

@@ -54,7 +54,7 @@ def bounds_phase(state: State) -> Phase:
     def lay(rebuild):
         lay_grids(rebuild.count)
 
-    return Phase(part_count, bounds, lay)
+    return Phase(part_count, bounds, BOUNDS, lay)
 
 
 def sort_phases(state: State) -> list[Phase]:
@@ -152,6 +152,7 @@ def _counting_sort(
     sorting = state.cell_sort
 
     most_parts, cells_per_task = granularity(state)
+    most_cells, most_blocks, most_particles = start.shape[0], sorting.block_sum.shape[0], order.shape[0]
 
     @ti.func
     def block_count(rebuild):
@@ -222,12 +223,12 @@ def _counting_sort(
             _order_by_key(order, key, start[c], start[c + 1])
 
     return [
-        Phase(task_count, clear),
-        Phase(part_count, count_particles),
-        Phase(block_count, sum_block, sum_blocks),
-        Phase(block_count, scan_block),
-        Phase(part_count, place),
-        Phase(task_count, order_cells),
+        Phase(task_count, clear, most_cells),
+        Phase(part_count, count_particles, most_particles),
+        Phase(block_count, sum_block, most_blocks, sum_blocks),
+        Phase(block_count, scan_block, most_blocks),
+        Phase(part_count, place, most_particles),
+        Phase(task_count, order_cells, most_cells),
     ]
 
 

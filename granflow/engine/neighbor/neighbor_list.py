@@ -7,6 +7,7 @@ threads.
 from typing import Any
 
 from granflow.engine.frozen_masks import build_can_touch
+from granflow.engine.limits import FORCES, INTEGRATION, NOT_HALTED
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.cells import (
     BLOCK_SIDE,
@@ -41,11 +42,12 @@ def fill_phase(state: State) -> Phase:
 
     Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
-             position_at_rebuild, rebuild_due, rebuild_requested
+             position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
     lists, longest_allowed, has_ghosts = NeighborListFill(state), NO_LIMIT, state.plan.has_ghosts
+    can_halt = control.halted_at is not None
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
@@ -86,8 +88,11 @@ def fill_phase(state: State) -> Phase:
         sorting.present[0] = present_count(rebuild)
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
+        if ti.static(can_halt):
+            for phase in ti.static((INTEGRATION, FORCES)):
+                control.halted_at[phase] = NOT_HALTED
 
-    return Phase(chunk_count, fill, finish)
+    return Phase(chunk_count, fill, state.plan.capacities.chunks, finish)
 
 
 class NeighborListFill:
