@@ -76,7 +76,9 @@ class CellSort(Fields):
 
 
 class NeighborList(Fields):
-    """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
+    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate segment.
+
+    If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
 
     list_begin, list_end:  range of the entries of each particle
     list_walls_end:        end of its wall entries, which are first
@@ -154,7 +156,7 @@ class Control(Fields):
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a chunk, increased by TOO_LONG if a list exceeds the batch
+    list_length_needed:         largest number of entries of a segment, increased by TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
@@ -233,7 +235,7 @@ class State:
 
         Raises nothing for another structure, see `plan.structure`; the caller compares.
         """
-        self.plan, self.capacities = plan, replace(self.capacities, chunk_count=plan.chunk_capacity)
+        self.plan, self.capacities = plan, replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
             self.built(_build_clear)()
         self._begin()

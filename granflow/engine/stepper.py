@@ -177,7 +177,7 @@ class Stepper:
     def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
         """Increase the arrays of the neighbor lists and build all kernels again.
 
-        needed:   smallest number of list entries per chunk
+        needed:   smallest number of list entries per segment
         longest:  smallest length of a list for which a batch suffices
         """
         self.timing.growth_count += 1

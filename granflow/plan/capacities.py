@@ -38,7 +38,7 @@ HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
 SPARE = 8
-"""Entries per chunk in addition to a share, for chunks with few list entries."""
+"""Entries per segment in addition to a share, for segments with few list entries."""
 
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
@@ -58,11 +58,6 @@ WALL_BATCH = 256
 
 GROWTH_FACTOR = 1.3
 """Factor by which the capacity exceeds the needed list entries when a list grows."""
-
-EXTRA_PER_PARTICLE = 6
-"""List entries per particle beyond twice the mean number of candidate pairs, for a chunk size of 1.
-
-With chunk size 1, both particles list a pair, and no other particle of the chunk has free list entries."""
 
 SHARE_AT_MESHES = 0.1
 """Share of the particles of a bed that are near a mesh wall."""
@@ -90,9 +85,9 @@ def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> floa
 
 @dataclass(frozen=True)
 class Capacities:
-    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `chunk_count`.
+    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `segments`.
 
-    chunk_count:     number of chunks that share `list_entries`; not a length
+    segments:        equal parts of `list_entries`, one for each chunk, or 1 if each particle is a chunk; not a length
     list_entries:    entries of all neighbor lists
     class_cells:     cells of the grids of all size classes; 0 without size classes
     measured_walls:  walls with measured forces; 0 without
@@ -102,7 +97,7 @@ class Capacities:
     """
 
     particles: int
-    chunk_count: int
+    segments: int
     chunks: int
     list_entries: int
     cells: int
@@ -121,18 +116,18 @@ class Capacities:
         return history_capacity(self.list_entries)
 
     @property
-    def list_entries_per_chunk(self) -> int:
-        """List entries of each chunk."""
-        return self.list_entries // self.chunk_count
+    def list_entries_per_segment(self) -> int:
+        """List entries of each segment."""
+        return self.list_entries // self.segments
 
     @property
-    def saved_entries_per_chunk(self) -> int:
-        """Saved history entries of each chunk."""
-        return self.saved_entries // self.chunk_count
+    def saved_entries_per_segment(self) -> int:
+        """Saved history entries of each segment."""
+        return self.saved_entries // self.segments
 
     def grown(self, needed: int, batch: int) -> "Capacities":
-        """Capacities for at least GROWTH_FACTOR times `needed` list entries per chunk, and `batch` contacts."""
-        entries = self.chunk_count * (int(GROWTH_FACTOR * needed) + SPARE)
+        """Capacities for at least GROWTH_FACTOR times `needed` list entries per segment, and `batch` contacts."""
+        entries = self.segments * (int(GROWTH_FACTOR * needed) + SPARE)
         return replace(
             self,
             list_entries=rounded_capacity(entries, self.list_entries),
@@ -157,7 +152,7 @@ def history_capacity(list_entries: int) -> int:
 
 
 def list_capacity_for(saved: int) -> int:
-    """List entries per chunk for which a rebuild can save this number of history entries.
+    """List entries per segment for which a rebuild can save this number of history entries.
 
     HISTORY_SHARE of the result is at least `saved`.
     """

@@ -50,7 +50,7 @@ class NeighborListRebuild:
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
                  deleted
-    grow:        increases the list entries per chunk, and the batch, to at least these numbers and compiles all kernels
+    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles all kernels
                  again
     """
 
@@ -75,7 +75,7 @@ class NeighborListRebuild:
         """Put particles, in the order of their ids, on a device without particles; the next rebuild lists them."""
         state, histories = self._state, HistoryTable(self._state)
         state.count = len(particles.arrays["id"])
-        if (needed := histories.longest_chunk(particles.histories)) > state.capacities.list_entries_per_chunk:
+        if (needed := histories.longest_segment(particles.histories)) > state.capacities.list_entries_per_segment:
             self._grow(needed, 0)
         saved_particle_table(state).put(np.arange(state.count), particles.arrays)
         histories.write_lists(particles.histories, particles.arrays["id"])
@@ -112,7 +112,7 @@ class NeighborListRebuild:
             needed = flags.list_length_needed
             if first < self._kernel.fill and flags.running == 0:  # the histories do not fit
                 self._grow(list_capacity_for(needed), 0)
-            elif needed > state.capacities.list_entries_per_chunk:
+            elif needed > state.capacities.list_entries_per_segment:
                 too_long, length = divmod(needed, TOO_LONG)
                 self._grow(length, length * too_long)
                 first = self._kernel.fill
