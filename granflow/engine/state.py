@@ -156,7 +156,7 @@ class Control(Fields):
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a segment, increased by TOO_LONG if a list exceeds the batch
+    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
