@@ -43,6 +43,9 @@ SPARE = 8
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
 
+LARGE = 100_000
+"""Capacity above which the steps between capacities are smaller."""
+
 SHARED_ROWS = 64
 """Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic additions of
 integers are exact."""
@@ -136,10 +139,13 @@ class Capacities:
 
 
 def rounded_capacity(needed: int, smallest: int) -> int:
-    """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it."""
+    """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it.
+
+    From LARGE on, steps are 6 %, because memory matters more than the compilation of a further size.
+    """
     capacity = smallest
     while capacity < needed:
-        capacity += max(capacity // 4, 1)
+        capacity += max(capacity // (4 if capacity < LARGE else 16), 1)
     return capacity
 
 

@@ -50,8 +50,8 @@ class NeighborListRebuild:
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
                  deleted
-    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles all kernels
-                 again
+    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles all
+                 kernels again
     """
 
     def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]) -> None:
