@@ -397,6 +397,8 @@ class Engine:
         With `on_exit: error`, sets the abort code if one of them left the domain.
         """
         arrays = copy_to_host(self.state, DELETED_FIELDS, first, last)
+        by_id = np.argsort(arrays["id"])
+        arrays = {name: values[by_id] for name, values in arrays.items()}
         self._account_deleted({name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()})
 
     def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:
