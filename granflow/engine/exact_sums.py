@@ -164,6 +164,20 @@ def _build_reduce(state: State, field: Any) -> Any:
     return reduce_chunks
 
 
+def build_to_nearest() -> Any:
+    """Device function (f64 number): the nearest integer as i64, the even one of two, as `numpy.rint`."""
+
+    @ti.func
+    def to_nearest(value):
+        lower = ti.floor(value)
+        rest, integer = value - lower, ti.cast(lower, ti.i64)
+        if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
+            integer += 1
+        return integer
+
+    return to_nearest
+
+
 def canonical(sums: np.ndarray) -> np.ndarray:
     """Two-word sums (..., 2 terms), int64, with the same totals and low words in [0, 2^CARRY_BITS)."""
     low, high = np.split(sums, 2, axis=-1)
@@ -184,10 +198,27 @@ def exact_totals(sums: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
     return unit * np.array([float(total) for total in totals])
 
 
+def scale_exponent(largest: float, count: int) -> int:
+    """Exponent of the power of two by which `exact_sum` scales numbers before it rounds them to integers.
+
+    largest:  largest magnitude of the numbers
+    count:    number of numbers
+    """
+    if not np.isfinite(largest) or largest == 0.0:
+        return 0
+    return 62 - int(np.frexp(largest * count)[1])
+
+
+def exact_total(values: np.ndarray) -> float:
+    """Sum of int64 numbers, also if it exceeds their range, rounded once."""
+    high = values >> CARRY_BITS
+    return float((int(high.sum()) << CARRY_BITS) + int((values - (high << CARRY_BITS)).sum()))
+
+
 def exact_sum(values: np.ndarray) -> float:
     """Sum of numbers (n,), the same for any order; each is rounded to 2^-62 of n times the largest magnitude."""
     largest = float(np.abs(values).max(initial=0.0))
     if not np.isfinite(largest) or largest == 0.0:
         return float(values.sum())
-    exponent = 62 - int(np.frexp(largest * len(values))[1])
+    exponent = scale_exponent(largest, len(values))
     return float(np.ldexp(float(np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()), -exponent))

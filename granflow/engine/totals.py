@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.exact_sums import SHARES, chunk_words, exact_totals
-from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.particle_sums import ParticleSums
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
 from granflow.plan.chunk_sums import LOSSES, PLASTIC
@@ -24,19 +22,17 @@ It results from the masses; in f32 also from the positions.
 def totals_of(
     state: State,
     accounting: Accounting,
-    arrays: Mapping[str, np.ndarray],
-    energies: tuple[float, float, float],
+    sums: ParticleSums,
     measured: Mapping[str, float],
 ) -> dict[str, float]:
     """Totals of the present state by name, SI units.
 
-    arrays:    coordination_number and mass (n,), wall_contact_count (n,) with walls, fixed (n,) with fixed particles
-    energies:  kinetic, rotational and gravitational energy [J]
+    sums:      sums over the particles
     measured:  totals of ContactStatistics
     """
-    contacts, mobile, plan = measured["contact_count"], mobility_mask(arrays), state.plan
+    contacts, energies, plan = measured["contact_count"], sums.energies, state.plan
     totals = {
-        "particle_count": float(len(arrays["mass"])),
+        "particle_count": float(sums.count),
         "inserted_count": float(accounting.inserted_count),
         "deleted_count": float(accounting.deleted_count),
         "deleted_mass": accounting.deleted_mass,
@@ -45,10 +41,10 @@ def totals_of(
         "rotational_energy": energies[1],
         "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
         "overlap_largest": measured["overlap_largest"],
-        "coordination_number": float(mobile @ arrays["coordination_number"] / max(mobile.sum(), 1.0)),
+        "coordination_number": sums.coordination_number,
     }
     if plan.features.walls:
-        totals["wall_contact_count"] = float(arrays["wall_contact_count"].sum())
+        totals["wall_contact_count"] = sums.wall_contact_count
     if plan.features.lees_edwards:
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:
