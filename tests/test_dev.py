@@ -105,6 +105,16 @@ def test_environment_of_another_tool_is_not_overwritten(dev):
     assert (dev.ENVIRONMENT / "precious").exists()
 
 
+def test_linked_environment_of_another_checkout_keeps_its_stamp(dev, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / dev.STAMP.name).write_text("python 3.11 in /elsewhere\n")
+    dev.ENVIRONMENT.symlink_to(other)
+    with pytest.raises(SystemExit, match="is a link to the environment of another checkout"):
+        set_up(dev, "run")
+    assert (other / dev.STAMP.name).read_text() == "python 3.11 in /elsewhere\n"
+
+
 @pytest.mark.parametrize("version", [(3, 9, 18), (3, 14, 0)])
 def test_unsupported_python_is_rejected_in_one_sentence(dev, monkeypatch, version):
     monkeypatch.setattr(sys, "version_info", version)

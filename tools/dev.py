@@ -127,6 +127,8 @@ def make_environment() -> None:
             f"This Python lacks its module {missing[0]}: install it (on Debian and Ubuntu: "
             f"sudo apt install python{dotted(sys.version_info[:2])}-venv), then try again."
         )
+    if ENVIRONMENT.is_symlink():
+        stop(f"{ENVIRONMENT} is a link to the environment of another checkout: remove the link, then try again.")
     shutil.rmtree(str(ENVIRONMENT), ignore_errors=True)
     ENVIRONMENT.mkdir(exist_ok=True)
     STAMP.write_text(UNFINISHED + "\n")

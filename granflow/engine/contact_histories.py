@@ -122,14 +122,12 @@ class HistoryTable:
 
     def _touching(self) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Index of the owner and the partner (m,) of each list entry in contact, and the histories."""
-        state, size = self._state, self._state.plan.chunk_size
+        state = self._state
         ranges = state.built(_list_table).take(slice(0, state.count))
-        begin, end = ranges["begin"], ranges["end"]
-        first = begin[::size].astype(np.int64)
-        last = end[np.minimum(np.arange(1, len(first) + 1) * size, state.count) - 1]  # a chunk has no gaps
-        list_index = consecutive(first, last - first)
+        begin, length = ranges["begin"].astype(np.int64), ranges["end"] - ranges["begin"]
+        list_index = consecutive(begin, length)
         touches = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
-        owner = np.repeat(np.arange(state.count), end - begin)[touches]
+        owner = np.repeat(np.arange(len(begin)), length)[touches]
         entries = state.built(_contact_table).take(list_index[touches])
         return owner, entries.pop("partner").astype(np.int64), entries
 
@@ -138,14 +136,12 @@ class HistoryTable:
 
         ids:  (n,) of all particles by index, in ascending order
 
-        The capacity must suffice, see `longest_chunk`.
+        The capacity must suffice, see `longest_segment`.
         """
-        state = self._state
-        owner, size = histories.owner, state.plan.chunk_size
-        chunk = np.arange(len(ids)) // size
+        state, owner, segment = self._state, histories.owner, self._segments(len(ids))
         before = np.cumsum(histories.count) - histories.count
-        in_chunk = before - before[chunk * size]
-        begin = chunk * state.capacities.list_entries_per_chunk + in_chunk
+        in_segment = before - before[segment * state.plan.chunk_size]
+        begin = segment * state.capacities.list_entries_per_segment + in_segment
         ranges = {"begin": begin, "end": begin + histories.count}
         state.built(_list_table).put(np.arange(len(ids)), ranges)
         if not state.neighbors.history:
@@ -156,10 +152,15 @@ class HistoryTable:
         entries = {"partner": partner.astype(np.int32), "in_contact": in_contact} | histories.values
         state.built(_entry_table).put(entry, entries)
 
-    def longest_chunk(self, histories: Histories) -> int:
-        """Largest number of contacts of the particles of a chunk."""
-        chunk = np.arange(len(histories.count)) // self._state.plan.chunk_size
-        return int(np.bincount(chunk, weights=histories.count, minlength=1).max())
+    def longest_segment(self, histories: Histories) -> int:
+        """Largest number of contacts of the particles of a segment of the neighbor lists."""
+        segments = self._segments(len(histories.count))
+        return int(np.bincount(segments, weights=histories.count, minlength=1).max())
+
+    def _segments(self, count: int) -> np.ndarray:
+        """Segment (count,) of each particle; see `NeighborList`."""
+        size = self._state.plan.chunk_size
+        return np.arange(count) // size if size > 1 else np.zeros(count, np.int64)
 
     def write(self, parts: Sequence[Histories], rows: np.ndarray) -> None:
         """Write histories where a rank looks for them when it fills neighbor lists.

@@ -17,14 +17,16 @@ from granflow.engine.force.damping import write_damping
 from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.gpu_stepper import GpuStepper
 from granflow.engine.host_copy import append_particles, copy_to_host
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
 from granflow.engine.limits import ABORT_LEFT_DOMAIN, NO_PARTICLE, Diagnosis
+from granflow.engine.particle_sums import ParticleSums, device_sums, host_sums
 from granflow.engine.saved_sums import load_sums, load_wall_dynamics, saved_sums, saved_wall_dynamics
 from granflow.engine.snapshots import ordered_particles, wall_poses
-from granflow.engine.stability_monitor import StabilityMonitor, largest_speed
+from granflow.engine.stability_monitor import StabilityMonitor
 from granflow.engine.state import FreedState, State
 from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.stepper import Stepper
@@ -72,7 +74,8 @@ class Engine:
 
     def _new_stepper(self) -> Stepper:
         """The stepper of the state."""
-        return Stepper(self.state, self._on_deleted)
+        kind = Stepper if self.state.backend.on_cpu else GpuStepper
+        return kind(self.state, self._on_deleted)
 
     @property
     def time(self) -> float:
@@ -367,20 +370,26 @@ class Engine:
             return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
         pose = self.stepper.place_walls(self.step_count)
         measured = self.state.built(ContactStatistics).measure(pose)
-        names = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
-        arrays = self.synchronized(tuple(names))
-        energies = mechanical_energy(arrays, self._gravity)
-        totals = totals_of(self.state, self.accounting, arrays, energies, measured)
+        arrays, sums = self._particles_and_sums("particles" in quantities)
+        totals = totals_of(self.state, self.accounting, sums, measured)
         if observed:
-            speed = largest_speed(arrays["velocity"])
-            self.stability_monitor.check(self.time, energies, self.accounting, totals, speed)
-        arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
-            arrays["position"], arrays["velocity"], self.time
-        )
+            self.stability_monitor.check(self.time, sums.energies, self.accounting, totals, sums.speed)
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
         contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
         impulses = wall_impulses(self.state)
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
+
+    def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
+        """Arrays of a snapshot in device order, and sums over the particles; a GPU adds them up without arrays."""
+        if not (needs_arrays or self.state.backend.on_cpu):
+            return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
+        names = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
+        arrays = self.synchronized(tuple(names))
+        sums = host_sums(arrays, self._gravity)
+        arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
+            arrays["position"], arrays["velocity"], self.time
+        )
+        return arrays, sums
 
     def free(self) -> None:
         """Give the device memory to later simulations of this process; this engine cannot continue."""
@@ -395,6 +404,8 @@ class Engine:
         With `on_exit: error`, sets the abort code if one of them left the domain.
         """
         arrays = copy_to_host(self.state, DELETED_FIELDS, first, last)
+        by_id = np.argsort(arrays["id"])
+        arrays = {name: values[by_id] for name, values in arrays.items()}
         self._account_deleted({name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()})
 
     def _account_deleted(self, arrays: Mapping[str, np.ndarray]) -> None:

@@ -17,6 +17,10 @@ SHARES = 2
 """Energies of a pair are in units and count once in each of two neighbor lists, SHARES times in a single one."""
 
 
+REDUCED_ROWS = 1024
+"""Rows to which a GPU adds up the sums over chunks before the host reads them."""
+
+
 @ti.func
 def to_units(value):
     """A number in units, rounded toward zero, as a 64-bit integer: exactly opposite for opposite values."""
@@ -123,6 +127,57 @@ def carried(sums, count: ti.template()):
     return result
 
 
+def shares_rows(state: State) -> bool:
+    """Whether chunks of one particle share the rows of the sums of wall forces, by atomic additions."""
+    return state.plan.chunk_size == 1
+
+
+def chunk_words(state: State, field: Any) -> np.ndarray:
+    """Words (k, 2 terms) int64 of a sum over chunks; on a GPU added up on the device to REDUCED_ROWS rows.
+
+    field:  two-word sums by chunk
+    """
+    if state.backend.on_cpu:
+        return np.asarray(field.to_numpy())
+    rows = np.zeros((REDUCED_ROWS, field.n), np.int64)
+    state.built(_build_reduce, field)(rows)
+    return rows
+
+
+def _build_reduce(state: State, field: Any) -> Any:
+    """Kernel (rows (REDUCED_ROWS, words)): two-word sums of every REDUCED_ROWS-th chunk.
+
+    Reads:  field
+    """
+    words, length = field.n, field.shape[0]
+    external: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def reduce_chunks(rows: external):
+        for row in range(REDUCED_ROWS):
+            sums = ti.Vector.zero(ti.i64, words)
+            for k in range((length - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
+                sums = carried(sums + field[row + k * REDUCED_ROWS], words // 2)
+            for word in ti.static(range(words)):
+                rows[row, word] = sums[word]
+
+    return reduce_chunks
+
+
+def build_to_nearest() -> Any:
+    """Device function (f64 number): the nearest integer as i64, the even one of two, as `numpy.rint`."""
+
+    @ti.func
+    def to_nearest(value):
+        lower = ti.floor(value)
+        rest, integer = value - lower, ti.cast(lower, ti.i64)
+        if rest > 0.5 or (rest == 0.5 and integer % 2 != 0):
+            integer += 1
+        return integer
+
+    return to_nearest
+
+
 def canonical(sums: np.ndarray) -> np.ndarray:
     """Two-word sums (..., 2 terms), int64, with the same totals and low words in [0, 2^CARRY_BITS)."""
     low, high = np.split(sums, 2, axis=-1)
@@ -143,10 +198,27 @@ def exact_totals(sums: np.ndarray, unit: float | np.ndarray) -> np.ndarray:
     return unit * np.array([float(total) for total in totals])
 
 
+def scale_exponent(largest: float, count: int) -> int:
+    """Exponent of the power of two by which `exact_sum` scales numbers before it rounds them to integers.
+
+    largest:  largest magnitude of the numbers
+    count:    number of numbers
+    """
+    if not np.isfinite(largest) or largest == 0.0:
+        return 0
+    return 62 - int(np.frexp(largest * count)[1])
+
+
+def exact_total(values: np.ndarray) -> float:
+    """Sum of int64 numbers, also if it exceeds their range, rounded once."""
+    high = values >> CARRY_BITS
+    return float((int(high.sum()) << CARRY_BITS) + int((values - (high << CARRY_BITS)).sum()))
+
+
 def exact_sum(values: np.ndarray) -> float:
     """Sum of numbers (n,), the same for any order; each is rounded to 2^-62 of n times the largest magnitude."""
     largest = float(np.abs(values).max(initial=0.0))
     if not np.isfinite(largest) or largest == 0.0:
         return float(values.sum())
-    exponent = 62 - int(np.frexp(largest * len(values))[1])
+    exponent = scale_exponent(largest, len(values))
     return float(np.ldexp(float(np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()), -exponent))

@@ -14,6 +14,7 @@ from typing import Any
 from granflow.engine.exact_sums import build_weight_rest
 from granflow.engine.force.damping import build_add_damping_loss
 from granflow.engine.force.external_forces import build_add_external_work
+from granflow.engine.force.wall_forces import build_carry_impulses
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_FORCE, ABORT_NOT_FINITE
 from granflow.engine.periodic_box import build_wrap
@@ -33,7 +34,7 @@ def build_integrate(state: State) -> Any:
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
-             external_work, losses; in a periodic box as `build_wrap`
+             external_work, losses, impulses; in a periodic box as `build_wrap`
     """
     particles, control, features = state.particles, state.control, state.plan.features
     mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
@@ -42,6 +43,7 @@ def build_integrate(state: State) -> Any:
     add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
 
+    carry_impulses = build_carry_impulses(state)
     weight_rest, above_limit, real = build_weight_rest(state), _build_above_limit(state), state.backend.real
     gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
 
@@ -52,6 +54,7 @@ def build_integrate(state: State) -> Any:
 
     @ti.func
     def integrate(chunk, count, pose, dt):
+        carry_impulses(chunk)
         rebuild, size, abort_above = 0, chunk_size(), step_limit()
         acceleration, shift_of_force, units = ti.cast(gravity(), real), shift()[FORCE], per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):

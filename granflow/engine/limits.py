@@ -29,6 +29,12 @@ ABORT_REASONS = {
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
 
+INTEGRATION, FORCES = range(2)
+"""Phases of a step on a GPU that can halt the following launches."""
+
+NOT_HALTED = 2**31 - 1
+"""Larger than the number of any launch on a GPU."""
+
 
 @dataclass(frozen=True)
 class Diagnosis:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.exact_sums import canonical
+from granflow.engine.exact_sums import canonical, chunk_words
 from granflow.engine.state import State
 from granflow.errors import GranflowError
 from granflow.plan.device_arrays import DeviceArray, saved_arrays, sum_arrays, wall_dynamics_arrays
@@ -19,7 +19,11 @@ OTHER_FEATURES = (
 
 def saved_sums(state: State) -> dict[str, np.ndarray]:
     """Terms of the energy budget and of the wall forces by name, summed over chunks and MPI ranks, int64."""
-    totals = {name: state.ranks.total(getattr(state.control, name).to_numpy()) for name in _sums(state.plan)}
+    fields = {name: getattr(state.control, name) for name in _sums(state.plan)}
+    totals = {
+        name: state.ranks.total(field.to_numpy() if len(field.shape) > 1 else chunk_words(state, field))
+        for name, field in fields.items()
+    }
     return {name: canonical(words.sum(axis=0)) for name, words in totals.items()}
 
 

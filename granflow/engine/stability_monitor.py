@@ -2,8 +2,6 @@
 
 import logging
 
-import numpy as np
-
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.totals import LARGEST_ERROR, ROUNDING
 from granflow.plan.plan import Plan
@@ -115,8 +113,3 @@ def _conserves_energy(plan: Plan) -> bool:
     has_other_work = has_other_work or plan.features.lees_edwards
     has_other_work = has_other_work or plan.features.external_forces
     return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts
-
-
-def largest_speed(velocity: np.ndarray) -> float:
-    """Largest speed [m/s] of velocities (n, 3)."""
-    return float(np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max(initial=0.0)))

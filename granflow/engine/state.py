@@ -10,7 +10,7 @@ from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
 from granflow.engine.field_block import FieldBlock, Fields, write_padded
 from granflow.engine.host_fields import components
-from granflow.engine.limits import NO_PARTICLE
+from granflow.engine.limits import NO_PARTICLE, NOT_HALTED
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.parameters import Parameters
 from granflow.engine.ranks import Gathering, OneProcess
@@ -76,7 +76,9 @@ class CellSort(Fields):
 
 
 class NeighborList(Fields):
-    """Neighbor lists (Verlet lists), one per particle; each chunk of particles has a separate segment.
+    """Neighbor lists (Verlet lists), one per particle; each chunk of several particles has a separate segment.
+
+    If each particle is a chunk, as on a GPU, the lists are in one segment without gaps, in any order.
 
     list_begin, list_end:  range of the entries of each particle
     list_walls_end:        end of its wall entries, which are first
@@ -150,10 +152,11 @@ class Control(Fields):
     steps_done, running:        completed steps of a launch; 1 while it continues
     worker_count:               workers that have not left the launch
     started_count:              of them, those at the first barrier of the launch
+    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the following ones
     patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
     next_chunk:                 number of chunks that workers have taken in this phase
     arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a chunk, increased by TOO_LONG if a list exceeds the batch
+    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the batch
     abort, abort_particle:      abort code and smallest id above the limit
     pair_constants:             row per pair of materials
     law_parameters:             one row, the parameters of the contact laws
@@ -177,6 +180,7 @@ class Control(Fields):
         self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
         self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
         self.list_length_needed = block.scalar(ti.i32, 1)
+        self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
         self.abort = block.scalar(ti.i32, 1)
         self.abort_particle = block.scalar(ti.i32, 1)
         self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
@@ -197,6 +201,8 @@ class Control(Fields):
         if plan.law_parameters:
             write_padded(self.law_parameters, np.array([plan.law_parameters]))
         self.abort_particle[0] = NO_PARTICLE
+        if self.halted_at is not None:
+            write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
 
 
 class State:
@@ -229,7 +235,7 @@ class State:
 
         Raises nothing for another structure, see `plan.structure`; the caller compares.
         """
-        self.plan, self.capacities = plan, replace(self.capacities, chunk_count=plan.chunk_capacity)
+        self.plan, self.capacities = plan, replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
             self.built(_build_clear)()
         self._begin()
@@ -277,6 +283,11 @@ class State:
     def chunk_count(self) -> int:
         """Number of chunks that contain particles, at least 1: the first chunk has the forces on walls of all ranks."""
         return max(-(-self.count // self.plan.chunk_size), 1)
+
+    @property
+    def wall_row_count(self) -> int:
+        """Rows in which the present particles sum the forces on walls."""
+        return self.chunk_count if self.plan.chunk_size > 1 else self.capacities.wall_rows
 
     def parameter(self, name: str) -> Any:
         """Device function (): a parameter of the plan, see `Parameters`."""

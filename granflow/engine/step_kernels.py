@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from granflow.engine.force.contact_forces import build_forces
+from granflow.engine.gpu_step import build_gpu_step
 from granflow.engine.integrate import build_integrate
 from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
@@ -20,45 +21,13 @@ def build_steps(state: State) -> Callable[..., None]:
     return build(state, build_integrate(state), build_forces(state))
 
 
-def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """Kernel for one step on a GPU; each chunk is a separate task.
+def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+    """Kernel for up to `steps` steps on a CPU.
 
     integrate, forces:  device functions of `build_integrate` and `build_forces`
 
-    Arguments: steps and workers (unused), number of chunks, particle count, pose, time step [s], and whether to
-    integrate (`moving`) and compute forces (`forcing`).
-
-    Reads:   as the phases
-    Writes:  as the phases; rebuild_due, steps_done
-    """
-    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
-    move_walls = build_move_walls(state) if force_controlled else None
-
-    @ti.kernel
-    def step_on_gpu(
-        steps: ti.i32, workers: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
-        forcing: ti.i32
-    ):  # fmt: skip
-        for chunk in range(moving * chunks):
-            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
-                integrate(chunk, count, pose + control.steps_done[0], dt)
-        if ti.static(force_controlled):
-            for _ in range(moving):
-                if control.rebuild_due[0] == 0 and control.abort[0] == 0:
-                    move_walls(chunks, pose + control.steps_done[0], dt)
-        if moving == 1:
-            control.rebuild_due[0] = control.rebuild_requested[0]
-        for chunk in range(forcing * chunks):
-            if control.rebuild_due[0] == 0 and control.abort[0] == 0:
-                forces(0, chunk, count, pose + control.steps_done[0], dt)
-        if forcing == 1 and control.rebuild_due[0] == 0 and control.abort[0] == 0:
-            control.steps_done[0] = control.steps_done[0] + 1
-
-    return step_on_gpu
-
-
-def build_cpu_steps(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
-    """Kernel for up to `steps` steps on a CPU, with the arguments of `build_gpu_step`.
+    Arguments: steps, workers, number of chunks, particle count, pose, time step [s], and whether to integrate
+    (`moving`) and compute forces (`forcing`).
 
     Reads:   as the phases
     Writes:  as the phases; rebuild_due, steps_done, running, and the fields of the barrier

@@ -1,8 +1,8 @@
 """The phases of a time step, in order: integration, neighbor-list rebuild if it is due, contact forces.
 
-One launch takes many steps on a CPU and one on a GPU. If a particle has moved by half the skin, all further phases of
-the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer to the host. If the
-list capacity is too small, the host reallocates the fields and repeats the rebuild.
+One launch takes many steps on a CPU and one on a GPU, see `gpu_stepper`. If a particle has moved by half the skin, all
+further phases of the launch do nothing until the host has rebuilt the neighbor list, so that no step needs a transfer
+to the host. If the list capacity is too small, the host reallocates the fields and repeats the rebuild.
 """
 
 import time as clock
@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from granflow.engine.contact_histories import HistoryTable
+from granflow.engine.exact_sums import shares_rows
 from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles
@@ -24,9 +25,6 @@ from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
-
-GPU_BATCH = 16
-"""Number of GPU steps between two reads of the flags; on a GPU each step is a separate launch."""
 
 LAUNCH_SECONDS = 0.05
 """Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
@@ -135,8 +133,7 @@ class Stepper:
     def _prepare_workers(self) -> None:
         """Measure the pool of threads, if the next launch is the first with several workers."""
         began = clock.perf_counter()
-        if self.state.backend.on_cpu:
-            self._workers.prepare()
+        self._workers.prepare()
         self.timing.compile += clock.perf_counter() - began
 
     def rebuild_neighbor_lists(self, step: int, pose: int = 0) -> None:
@@ -180,7 +177,7 @@ class Stepper:
     def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
         """Increase the arrays of the neighbor lists and build all kernels again.
 
-        needed:   smallest number of list entries per chunk
+        needed:   smallest number of list entries per segment
         longest:  smallest length of a list for which a batch suffices
         """
         self.timing.growth_count += 1
@@ -194,7 +191,9 @@ class Stepper:
         """
         self._prepare_workers()
         step = self.state.clock.time_step if history_step is None else history_step
-        self.state.control.steps_done[0] = 0
+        self._begin_count()
+        if self.state.wall_dynamics is not None and shares_rows(self.state):
+            self.state.wall_dynamics.wall_force.fill(0)  # otherwise cleared when the walls move
         self._launch_step(1, pose, step, moving=0, forcing=1)
 
     def refresh(self, step: int, velocities_lag: bool) -> None:
@@ -251,6 +250,20 @@ class Stepper:
         """0, or the abort code."""
         return int(self.state.control.abort[0])
 
+    @property
+    def _is_rebuild_due(self) -> bool:
+        """Whether the last launch ended because the neighbor lists must be rebuilt."""
+        return bool(self.state.control.rebuild_due[0])
+
+    @property
+    def _steps_done(self) -> int:
+        """Number of completed steps since `_begin_count`."""
+        return int(self.state.control.steps_done[0])
+
+    def _begin_count(self) -> None:
+        """Count the completed steps from 0."""
+        self.state.control.steps_done[0] = 0
+
     def _advance_batch(self, steps: int, step: int) -> int:
         """Take up to `steps` steps in one launch; rebuild the neighbor lists if due.
 
@@ -267,15 +280,15 @@ class Stepper:
                 self._upload(step + 1)
                 self._pose = 0
             steps = min(steps, WALL_BATCH - self._pose, max(self._steps_to_displacement_limit(), 1))
-        state.control.steps_done[0] = 0
+        self._begin_count()
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         write_force_inputs(state, step + 1)
         done = self._launch(steps)
-        if state.control.rebuild_due[0] and not self.abort_code:
+        if self._is_rebuild_due and not self.abort_code:
             self.rebuild_neighbor_lists(step + done + 1, self._pose + done)
             write_force_inputs(state, step + done + 1)
             self.forces(pose=self._pose + done)
-            done += int(state.control.steps_done[0])
+            done += self._steps_done
         else:
             self.steps_since_rebuild += done
         if plan.has_poses:
@@ -291,13 +304,9 @@ class Stepper:
         step = self.state.clock.time_step
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
-        if not self.state.backend.on_cpu:
-            for _ in range(min(steps, GPU_BATCH)):
-                self._launch_step(1, self._pose, step)
-            return int(self.state.control.steps_done[0])
         began, wanted = clock.perf_counter(), min(steps, self._steps_per_launch)
         self._launch_step(wanted, self._pose, step)
-        done = int(self.state.control.steps_done[0])
+        done = self._steps_done
         if done:
             seconds = clock.perf_counter() - began
             self._step_seconds = seconds / done
@@ -314,25 +323,24 @@ class Stepper:
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
         """One launch: `steps` steps on a CPU, one on a GPU. If `moving` or `forcing` is 0, only the other phase."""
         state, workers = self.state, self._workers.count
-        if state.backend.on_cpu:
-            self._workers.place(workers)
+        self._workers.place(workers)
         self._step(steps, workers, state.chunk_count, state.count, pose, step, moving, forcing)
 
     def _sampled_step(self) -> int:
         """Take one step and time its phases separately."""
-        state, step, began = self.state, self.state.clock.time_step, clock.perf_counter()
+        step, began = self.state.clock.time_step, clock.perf_counter()
         self._since_sample = 0
         self._launch_step(1, self._pose, step, forcing=0)
         ti.sync()
         integrated = clock.perf_counter()
-        if state.control.rebuild_due[0] or self.abort_code:
+        if self._is_rebuild_due or self.abort_code:
             return 0
         forces_began = clock.perf_counter()
         self._launch_step(1, self._pose, step, moving=0)
         ti.sync()
         self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
-        return int(state.control.steps_done[0])
+        return self._steps_done
 
     def _steps_to_displacement_limit(self) -> int:
         """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from granflow.engine.accounting import Accounting, energy_input
-from granflow.engine.exact_sums import SHARES, exact_totals
-from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.exact_sums import SHARES, chunk_words, exact_totals
+from granflow.engine.particle_sums import ParticleSums
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
 from granflow.plan.chunk_sums import LOSSES, PLASTIC
@@ -24,19 +22,17 @@ It results from the masses; in f32 also from the positions.
 def totals_of(
     state: State,
     accounting: Accounting,
-    arrays: Mapping[str, np.ndarray],
-    energies: tuple[float, float, float],
+    sums: ParticleSums,
     measured: Mapping[str, float],
 ) -> dict[str, float]:
     """Totals of the present state by name, SI units.
 
-    arrays:    coordination_number and mass (n,), wall_contact_count (n,) with walls, fixed (n,) with fixed particles
-    energies:  kinetic, rotational and gravitational energy [J]
+    sums:      sums over the particles
     measured:  totals of ContactStatistics
     """
-    contacts, mobile, plan = measured["contact_count"], mobility_mask(arrays), state.plan
+    contacts, energies, plan = measured["contact_count"], sums.energies, state.plan
     totals = {
-        "particle_count": float(len(arrays["mass"])),
+        "particle_count": float(sums.count),
         "inserted_count": float(accounting.inserted_count),
         "deleted_count": float(accounting.deleted_count),
         "deleted_mass": accounting.deleted_mass,
@@ -45,10 +41,10 @@ def totals_of(
         "rotational_energy": energies[1],
         "overlap_mean": measured["overlap_sum"] / contacts if contacts else 0.0,
         "overlap_largest": measured["overlap_largest"],
-        "coordination_number": float(mobile @ arrays["coordination_number"] / max(mobile.sum(), 1.0)),
+        "coordination_number": sums.coordination_number,
     }
     if plan.features.walls:
-        totals["wall_contact_count"] = float(arrays["wall_contact_count"].sum())
+        totals["wall_contact_count"] = sums.wall_contact_count
     if plan.features.lees_edwards:
         totals["shear_strain"] = plan.periodic_box.strain(state.clock.time)
     if accounting.queued_count is not None:
@@ -65,7 +61,9 @@ def ended_contacts_dissipation(state: State) -> float:
     losses = state.control.losses
     if losses is None:
         return 0.0
-    return float(exact_totals(state.ranks.total(losses.to_numpy()), state.plan.sum_units.energy / SHARES)[PLASTIC])
+    return float(
+        exact_totals(state.ranks.total(chunk_words(state, losses)), state.plan.sum_units.energy / SHARES)[PLASTIC]
+    )
 
 
 def energy_budget_totals(
@@ -85,13 +83,13 @@ def energy_budget_totals(
     so that rounding does not count as an energy error.
     """
     unit = state.plan.sum_units.energy / SHARES
-    words = state.ranks.total(state.control.losses.to_numpy())
+    words = state.ranks.total(chunk_words(state, state.control.losses))
     losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
     sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
     other_works = {
-        name: float(exact_totals(state.ranks.total(each.to_numpy()), unit)[0])
+        name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])
         for name, each in sums.items()
         if each is not None
     }

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.exact_sums import to_units
+from granflow.engine.exact_sums import shares_rows, to_units
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
 from granflow.geometry.motion import is_running
@@ -40,18 +40,20 @@ def _motions(state: State) -> list[MotionParameters]:
 def build_add_wall_force(state: State) -> tuple[Any, Any]:
     """Device functions that clear and sum the forces on force-controlled walls.
 
-    clear:  (chunk)
+    clear:  (chunk); rows that chunks share are cleared when the walls move
     add:    (chunk, wall, force on a particle [N]); the component along the direction of each motion counts, with
             opposite sign
 
     Writes:  wall_force
     """
     motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit")
+    shared, rows = shares_rows(state), state.capacities.wall_rows
 
     @ti.func
     def clear_wall_forces(chunk):
-        for r in ti.static(range(len(motions))):
-            fields.wall_force[chunk, r] = 0
+        if ti.static(not shared):
+            for r in ti.static(range(len(motions))):
+                fields.wall_force[chunk, r] = 0
 
     @ti.func
     def add_wall_force(chunk, w, force):
@@ -59,7 +61,10 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
             if w == motions[r].wall():
                 force_along = ti.cast(force, ti.f64).dot(motions[r].direction())
                 in_units = to_units(ti.cast(per_unit()[WALL_FORCE], ti.f64) * force_along)
-                fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
+                if ti.static(shared):
+                    ti.atomic_sub(fields.wall_force[chunk % rows, r], in_units)
+                else:
+                    fields.wall_force[chunk, r] = fields.wall_force[chunk, r] - in_units
 
     return clear_wall_forces, add_wall_force
 
@@ -67,12 +72,24 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 def build_move_walls(state: State) -> Any:
     """Device function (chunks, pose, time_step): move all force-controlled walls by one step, on one thread.
 
-    Reads:   wall_force, was_active, active
-    Writes:  velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
+    Reads:   was_active, active
+    Writes:  wall_force, velocity, offset, was_active, work_on_particles, work, rebuild_requested, abort
     """
     motions, fields, control = _motions(state), state.wall_dynamics, state.control
     displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
-    per_unit = state.parameter("per_unit")
+    per_unit, shared, shared_rows = state.parameter("per_unit"), shares_rows(state), state.capacities.wall_rows
+
+    @ti.func
+    def force_units(chunks, r: ti.template()):
+        """Force of the particles on the wall of motion r in units; clears rows that chunks share."""
+        total, rows = ti.cast(0, ti.i64), chunks
+        if ti.static(shared):
+            rows = shared_rows
+        for row in range(rows):
+            total += fields.wall_force[row, r]
+            if ti.static(shared):
+                fields.wall_force[row, r] = 0
+        return total
 
     @ti.func
     def check_displacements(r: ti.template(), dt):
@@ -87,10 +104,8 @@ def build_move_walls(state: State) -> Any:
     def move_walls(chunks, pose, dt_real):
         dt = ti.cast(dt_real, ti.f64)
         for r in ti.static(range(len(motions))):
-            force_sum, velocity = ti.cast(0, ti.i64), ti.cast(0.0, ti.f64)
-            for chunk in range(chunks):
-                force_sum += fields.wall_force[chunk, r]
-            force_on_wall = ti.cast(force_sum, ti.f64) / ti.cast(per_unit()[WALL_FORCE], ti.f64)
+            velocity = ti.cast(0.0, ti.f64)
+            force_on_wall = ti.cast(force_units(chunks, r), ti.f64) / ti.cast(per_unit()[WALL_FORCE], ti.f64)
             if fields.active[pose, r] == 1:
                 velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
                 _add_work(fields, motions[r], r, force_on_wall, velocity, dt)
@@ -240,7 +255,7 @@ def controlled_forces(state: State) -> np.ndarray:
 
 def _forces_on_walls(state: State) -> np.ndarray:
     """Force (motions,) [N] of the particles on the wall of each motion, along its direction."""
-    units = state.wall_dynamics.wall_force.to_numpy()[: state.chunk_count].sum(axis=0)
+    units = state.wall_dynamics.wall_force.to_numpy()[: state.wall_row_count].sum(axis=0)
     return np.asarray(units * state.plan.sum_units.wall_force)
 
 

@@ -181,12 +181,12 @@ class RankRebuild:
     def _grow_arrays(self, particles: int, histories: int) -> None:
         """Increase the capacities of all ranks if one of them has more particles or histories than fit."""
         capacities = self._state.capacities
-        per_chunk = -(-histories // capacities.chunk_count)
-        particles, per_chunk = self._communicator.largest_of(np.array([particles, per_chunk])).tolist()
+        per_segment = -(-histories // capacities.segments)
+        particles, per_segment = self._communicator.largest_of(np.array([particles, per_segment])).tolist()
         more_particles = particles > self._state.plan.capacities.particles
-        more_histories = per_chunk > capacities.saved_entries_per_chunk
+        more_histories = per_segment > capacities.saved_entries_per_segment
         if more_particles or more_histories:
-            entries = list_capacity_for(per_chunk) if more_histories else 0
+            entries = list_capacity_for(per_segment) if more_histories else 0
             self._grow(int(GROWTH_FACTOR * particles) if more_particles else 0, entries, 0)
 
     def _fill(self, pose: int, workers: int, reach_time: float) -> None:
@@ -202,7 +202,7 @@ class RankRebuild:
             control.rebuild_due[0] = control.rebuild_requested[0] = 0
             too_long, length = divmod(needed, TOO_LONG)
             length, longest = self._communicator.largest_of(np.array([length, length * min(too_long, 1)])).tolist()
-            if length <= state.capacities.list_entries_per_chunk and not longest:
+            if length <= state.capacities.list_entries_per_segment and not longest:
                 return
             self._grow(0, length, longest and longest + BATCH + LANES)
 

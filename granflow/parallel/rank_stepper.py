@@ -55,10 +55,10 @@ class RankStepper(Stepper):
         """Increase the arrays to at least these capacities, and build all kernels again."""
         state, self.timing.growth_count = self.state, self.timing.growth_count + 1
         grown_plan_capacity(state, particles)
-        capacities = state.capacities.grown(max(needed, state.capacities.list_entries_per_chunk), longest)
+        capacities = state.capacities.grown(max(needed, state.capacities.list_entries_per_segment), longest)
         if particles:
             planned = state.plan.capacities
-            lists = max(planned.list_entries, planned.chunk_count * capacities.list_entries_per_chunk)
+            lists = max(planned.list_entries, planned.segments * capacities.list_entries_per_segment)
             capacities = replace(planned, list_entries=lists, batch=capacities.batch)
         state.grow_neighbor_list(capacities, self._compile)
 
@@ -75,7 +75,7 @@ class RankStepper(Stepper):
             return
         field = self.state.wall_dynamics.wall_force
         by_chunk = field.to_numpy()
-        total = self._communicator.sums(by_chunk[: self.state.chunk_count].sum(axis=0))
+        total = self._communicator.sums(by_chunk[: self.state.wall_row_count].sum(axis=0))
         by_chunk[...] = 0
         by_chunk[0] = total
         field.from_numpy(by_chunk)

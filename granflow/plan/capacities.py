@@ -38,10 +38,17 @@ HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
 SPARE = 8
-"""Entries per chunk in addition to a share, for chunks with few list entries."""
+"""Entries per segment in addition to a share, for segments with few list entries."""
 
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
+
+LARGE = 100_000
+"""Capacity above which the steps between capacities are smaller."""
+
+SHARED_ROWS = 64
+"""Rows of the sums of wall forces if each particle is a chunk: few particles are at walls, and atomic additions of
+integers are exact."""
 
 SCAN_BLOCK = 1024
 """Number of cells summed by one task of the prefix sum."""
@@ -54,11 +61,6 @@ WALL_BATCH = 256
 
 GROWTH_FACTOR = 1.3
 """Factor by which the capacity exceeds the needed list entries when a list grows."""
-
-EXTRA_PER_PARTICLE = 6
-"""List entries per particle beyond twice the mean number of candidate pairs, for a chunk size of 1.
-
-With chunk size 1, both particles list a pair, and no other particle of the chunk has free list entries."""
 
 SHARE_AT_MESHES = 0.1
 """Share of the particles of a bed that are near a mesh wall."""
@@ -86,18 +88,19 @@ def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> floa
 
 @dataclass(frozen=True)
 class Capacities:
-    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `chunk_count`.
+    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `segments`.
 
-    chunk_count:     number of chunks that share `list_entries`; not a length
+    segments:        equal parts of `list_entries`, one for each chunk, or 1 if each particle is a chunk; not a length
     list_entries:    entries of all neighbor lists
     class_cells:     cells of the grids of all size classes; 0 without size classes
     measured_walls:  walls with measured forces; 0 without
     batch:           contacts of one batch on a CPU
     chunk_particles: particles of a chunk, whose force sums a CPU thread holds
+    wall_rows:       rows of the sums of wall forces, one for each chunk or SHARED_ROWS
     """
 
     particles: int
-    chunk_count: int
+    segments: int
     chunks: int
     list_entries: int
     cells: int
@@ -108,6 +111,7 @@ class Capacities:
     pairs: int
     batch: int
     chunk_particles: int
+    wall_rows: int
 
     @property
     def saved_entries(self) -> int:
@@ -115,18 +119,18 @@ class Capacities:
         return history_capacity(self.list_entries)
 
     @property
-    def list_entries_per_chunk(self) -> int:
-        """List entries of each chunk."""
-        return self.list_entries // self.chunk_count
+    def list_entries_per_segment(self) -> int:
+        """List entries of each segment."""
+        return self.list_entries // self.segments
 
     @property
-    def saved_entries_per_chunk(self) -> int:
-        """Saved history entries of each chunk."""
-        return self.saved_entries // self.chunk_count
+    def saved_entries_per_segment(self) -> int:
+        """Saved history entries of each segment."""
+        return self.saved_entries // self.segments
 
     def grown(self, needed: int, batch: int) -> "Capacities":
-        """Capacities for at least GROWTH_FACTOR times `needed` list entries per chunk, and `batch` contacts."""
-        entries = self.chunk_count * (int(GROWTH_FACTOR * needed) + SPARE)
+        """Capacities for at least GROWTH_FACTOR times `needed` list entries per segment, and `batch` contacts."""
+        entries = self.segments * (int(GROWTH_FACTOR * needed) + SPARE)
         return replace(
             self,
             list_entries=rounded_capacity(entries, self.list_entries),
@@ -135,10 +139,13 @@ class Capacities:
 
 
 def rounded_capacity(needed: int, smallest: int) -> int:
-    """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it."""
+    """The smallest capacity that holds `needed` entries: `smallest`, or one of the steps of 25 % above it.
+
+    From LARGE on, steps are 6 %, because memory matters more than the compilation of a further size.
+    """
     capacity = smallest
     while capacity < needed:
-        capacity += max(capacity // 4, 1)
+        capacity += max(capacity // (4 if capacity < LARGE else 16), 1)
     return capacity
 
 
@@ -151,7 +158,7 @@ def history_capacity(list_entries: int) -> int:
 
 
 def list_capacity_for(saved: int) -> int:
-    """List entries per chunk for which a rebuild can save this number of history entries.
+    """List entries per segment for which a rebuild can save this number of history entries.
 
     HISTORY_SHARE of the result is at least `saved`.
     """

@@ -26,7 +26,7 @@ class DeviceArray:
     saved:         part of checkpoints
     per_particle:  the first axis is that of the particles
     block:         consecutive arrays with the same block are interleaved entry by entry
-    by_chunk:      the first axis is that of the chunks; checkpoints contain the sum over it
+    by_chunk:      the first axis is that of the chunks, or of rows that they share; checkpoints contain the sum over it
     """
 
     name: str
@@ -128,7 +128,7 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
         *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
         DeviceArray("was_active", "i32", (count,), saved=True),
         DeviceArray("active", "i32", (WALL_BATCH, count)),
-        DeviceArray("wall_force", "i64", (plan.capacities.chunks, count), saved=True, by_chunk=True),
+        DeviceArray("wall_force", "i64", (plan.capacities.wall_rows, count), saved=True, by_chunk=True),
     ]
 
 
@@ -138,6 +138,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     Each term has two components, see `engine.exact_sums`.
     """
     chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
+    wall_rows = plan.capacities.wall_rows
     energy_budget = plan.features.energy_budget
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
@@ -145,7 +146,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
         for name, shape, terms, wanted in (
             ("losses", (chunks,), len(LOSSES), energy_budget),
-            ("impulses", (chunks, measured), IMPULSE_SIZE, measured > 0),
+            ("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
             ("boundary_work", (chunks,), 1, has_image_work),
             ("external_work", (chunks,), 1, has_external_work),
         )

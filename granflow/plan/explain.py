@@ -200,7 +200,9 @@ def _memory_rows(plan: Plan, memory: MemoryEstimate) -> Iterator[ExplainRow]:
     yield ExplainRow("cells", size(memory.cells), f"at most {count(plan.cell_capacity)} cells")
     if memory.meshes:
         yield ExplainRow("meshes", size(memory.meshes), "triangles, their edges and grids")
-    yield ExplainRow("total", size(memory.total), "")
+    if memory.sums:
+        yield ExplainRow("sums", size(memory.sums), "energies and wall forces")
+    yield ExplainRow("total", size(memory.total), f"{size(memory.total / plan.particle_capacity)} per particle")
 
 
 def _gpu_rows(plan: Plan) -> Iterator[ExplainRow]:

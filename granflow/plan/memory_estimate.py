@@ -2,7 +2,14 @@
 
 from dataclasses import dataclass
 
-from granflow.plan.device_arrays import Precision, cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays
+from granflow.plan.device_arrays import (
+    Precision,
+    cell_arrays,
+    mesh_arrays,
+    neighbor_arrays,
+    particle_arrays,
+    sum_arrays,
+)
 from granflow.plan.plan import Plan
 
 
@@ -20,11 +27,13 @@ class MemoryEstimate:
     neighbor_lists: int
     cells: int
     meshes: int = 0
+    sums: int = 0
+    """Energies and wall forces: per chunk, on a GPU per particle."""
 
     @property
     def total(self) -> int:
         """Total device memory [bytes]."""
-        return self.particles + self.neighbor_lists + self.cells + self.meshes
+        return self.particles + self.neighbor_lists + self.cells + self.meshes + self.sums
 
 
 def estimate_memory(plan: Plan, precision: Precision) -> MemoryEstimate:
@@ -44,4 +53,5 @@ def estimate_memory(plan: Plan, precision: Precision) -> MemoryEstimate:
         neighbor_lists=list_bytes,
         cells=sum(each.size(precision) for each in cells if not each.per_particle),
         meshes=sum(each.size(precision) for each in mesh_arrays(plan)) if plan.meshes else 0,
+        sums=sum(each.size(precision) for each in sum_arrays(plan)),
     )

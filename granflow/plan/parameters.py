@@ -55,8 +55,8 @@ def _counts(plan: Plan, capacities: Capacities) -> dict[str, int]:
         "wall_count": len(plan.walls),
         "material_count": plan.material_count,
         "class_count": len(plan.size_classes),
-        "list_capacity": capacities.list_entries_per_chunk,
-        "saved_capacity": capacities.saved_entries_per_chunk,
+        "list_capacity": capacities.list_entries_per_segment,
+        "saved_capacity": capacities.saved_entries_per_segment,
         "cell_capacity": plan.cell_capacity,
     }
 

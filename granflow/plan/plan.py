@@ -15,7 +15,6 @@ from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep
 from granflow.plan.capacities import (
-    EXTRA_PER_PARTICLE,
     MIN_BATCH,
     MIN_CELLS,
     MIN_CHUNK_PARTICLES,
@@ -26,6 +25,7 @@ from granflow.plan.capacities import (
     MIN_SIZE_CLASSES,
     MIN_WALLS,
     SHARE_AT_MESHES,
+    SHARED_ROWS,
     Capacities,
     near_triangles,
     neighbors_per_particle,
@@ -203,15 +203,18 @@ class Plan:
         return max(-(-self.particle_capacity // self.chunk_size), 1)
 
     @property
-    def list_capacity_per_chunk(self) -> int:
-        """Initial number of neighbor-list entries per chunk; lists that are too short grow during the run."""
+    def list_capacity_per_segment(self) -> int:
+        """Initial number of neighbor-list entries per segment; lists that are too short grow during the run.
+
+        If each particle is a chunk, both particles list a pair, and all lists are one segment.
+        """
         neighbors = neighbors_per_particle(self.particle_capacity, (self.skin + self.laws.range) / self.radius_min)
         at_meshes = max(
             (near_triangles(mesh.typical_edge, self.skin + self.laws.range) for mesh in self.meshes.values()),
             default=0.0,
         )
         if self.chunk_size == 1:
-            return int(2.0 * neighbors + at_meshes) + EXTRA_PER_PARTICLE
+            return int((2.0 * neighbors + SHARE_AT_MESHES * at_meshes) * self.particle_capacity) + 16
         neighbors += SHARE_AT_MESHES * at_meshes
         return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
 
@@ -219,11 +222,12 @@ class Plan:
     def capacities(self) -> Capacities:
         """Lengths of the device arrays at the start."""
         chunk_count = self.chunk_capacity
+        segments = 1 if self.chunk_size == 1 else chunk_count
         return Capacities(
             particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
-            chunk_count=chunk_count,
+            segments=segments,
             chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
-            list_entries=rounded_capacity(chunk_count * self.list_capacity_per_chunk, MIN_LIST_ENTRIES),
+            list_entries=rounded_capacity(segments * self.list_capacity_per_segment, MIN_LIST_ENTRIES),
             cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
             class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS) if self.class_cell_capacity else 0,
             size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
@@ -232,6 +236,7 @@ class Plan:
             pairs=rounded_capacity(len(self.pair_constants), MIN_PAIRS),
             batch=MIN_BATCH,
             chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
+            wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
         )
 
     @property

@@ -39,7 +39,7 @@ def fits_lists(available: Capacities, needed: Capacities) -> bool:
 
 
 def _without_lists(capacities: Capacities) -> Capacities:
-    return replace(capacities, chunk_count=1, list_entries=0, batch=0)
+    return replace(capacities, segments=1, list_entries=0, batch=0)
 
 
 def _shear_axes(plan: Plan) -> tuple[int, ...]:

@@ -60,11 +60,11 @@ def test_capacities_that_start_at_1_grow_and_are_bit_identical(taichi_f64, monke
     assert max(snapshot.totals["contact_count"] for snapshot in reference) > 40
 
     monkeypatch.setattr(state_cache, "_kept", [])
-    monkeypatch.setattr(Plan, "list_capacity_per_chunk", property(lambda plan: 1))
+    monkeypatch.setattr(Plan, "list_capacity_per_segment", property(lambda plan: 1))
     monkeypatch.setattr(plan_module, "MIN_LIST_ENTRIES", 1)
     monkeypatch.setattr(capacities, "SPARE", 1)
     grown, growing_run = run_and_sample(scene)
-    assert growing_run.plan.capacities.list_entries_per_chunk <= 2
+    assert growing_run.plan.capacities.list_entries_per_segment <= 2
     assert growing_run.engine.timing.growth_count > 0
     assert growing_run.engine.state.capacities.list_entries < reference_run.engine.state.capacities.list_entries
     assert len(grown) == len(reference)
@@ -102,10 +102,10 @@ def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkey
     scene = compressed_bed(16)
     reference, reference_run = run_and_sample(scene)
     monkeypatch.setattr(state_cache, "_kept", [])
-    entries = reference_run.plan.capacities.list_entries_per_chunk
+    entries = reference_run.plan.capacities.list_entries_per_segment
     monkeypatch.setattr(capacities, "HISTORY_SHARE", 1.01 / entries)
     monkeypatch.setattr(capacities, "SPARE", 0)
-    assert reference_run.plan.capacities.saved_entries_per_chunk == 1
+    assert reference_run.plan.capacities.saved_entries_per_segment == 1
     monkeypatch.setattr(
         "granflow.engine.neighbor.rebuild.list_capacity_for",
         lambda saved: raise_history_share(monkeypatch, saved, entries),

@@ -42,7 +42,10 @@ def totals(inserted, removed=0.5, **changes):
         wall_dynamics=None,
         ranks=OneProcess(),
     )
-    state.backend, state.plan = SimpleNamespace(precision="f64"), SimpleNamespace(sum_units=SimpleNamespace())
+    state.backend, state.plan = (
+        SimpleNamespace(precision="f64", on_cpu=True),
+        SimpleNamespace(sum_units=SimpleNamespace()),
+    )
     state.plan.sum_units.energy = ENERGY_UNIT
     return energy_budget_totals(state, Accounting(inserted_energy=inserted, removed_energy=removed), ENERGIES, MEASURED)
 

@@ -1,5 +1,6 @@
 """Small scenes that together use each phase of the engine: one particle per chunk, some hundred steps."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +53,11 @@ def sheared():
 
 def mesh_floor(folder):
     """Particles that slide over the triangles of a bumpy floor."""
-    write(Path(folder) / "floor.stl", *sheet(6, 0.06, bumps=0.0005))
+    os.chdir(folder)  # meshes of a scene without a file are in the working directory
+    write(Path("floor.stl"), *sheet(6, 0.06, bumps=0.0005))
     positions = np.argwhere(np.ones((4, 4, 2))) * 0.011 + [-0.0165, -0.0165, 0.0065]
     balls = particle_group(positions, 0.01, velocity=np.tile([0.6, 0.3, -0.5], (len(positions), 1)))
-    walls = {"floor": {"shape": "mesh", "file": str(Path(folder) / "floor.stl"), "material": "glass"}}
+    walls = {"floor": {"shape": "mesh", "file": "floor.stl", "material": "glass"}}
     return build_scene(
         {"balls": balls}, walls=walls, pair={"friction": 0.4}, gravity=[0, 0, -9.81],
         run={"duration": 0.002, **RUN}, **GPU_CHUNKS,
@@ -79,7 +81,7 @@ def size_classes():
 
 def inlet_and_outlets():
     """Particles come in and go out."""
-    run = {"duration": 0.04, "velocity_max": 3.0, "time_step": 2e-5}
+    run = {"duration": 0.04, "velocity_max": 3.0, "time_step": 1e-5}
     return chute(run=run, output={"interval": 1.0, "energy_budget": True}, **GPU_CHUNKS)
 
 

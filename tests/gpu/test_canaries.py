@@ -97,6 +97,28 @@ def test_20000_launches_are_executed(vulkan):
     assert in_subprocess(many_launches, "vulkan", 20_000) == 20_000
 
 
+def atomic_sums(arch):
+    """A sum of i64 terms above the range of i32 in one entry, and the same terms added to 4 entries of vectors."""
+    ti = started(arch)
+    total, shared = ti.field(ti.i64, 1), ti.Vector.field(3, ti.i64, 4)
+
+    @ti.kernel
+    def add():
+        for i in range(10 * COUNT):
+            term = ti.cast(i, ti.i64) * 1_000_000_007
+            ti.atomic_add(total[0], term)
+            ti.atomic_sub(shared[i % 4][1], term)
+
+    add()
+    return [int(total[0]), shared.to_numpy().sum(axis=0).tolist()]
+
+
+def test_atomic_additions_of_64_bit_integers_are_exact(vulkan):
+    """Required for the forces on walls."""
+    total = sum(range(10 * COUNT)) * 1_000_000_007
+    assert in_subprocess(atomic_sums, "vulkan") == [total, [0, -total, 0]]
+
+
 def rounding(arch):
     """Number of results, by expression, that differ from numpy."""
     import numpy as np

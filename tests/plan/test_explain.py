@@ -89,11 +89,13 @@ def allocated(directory, overrides, precision):
 
     from granflow.engine import backend
     from granflow.engine.state import State
+    from granflow.plan.device_arrays import sum_arrays
 
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))
     fields = [field for group in (state.particles, state.neighbors, state.cell_sort) for field in vars(group).values()]
     fields += [*state.neighbors.history.values(), *state.neighbors.saved.values()]
+    fields += [getattr(state.control, array.name) for array in sum_arrays(plan)]
     arrays = [np.asarray(field.to_numpy()) for field in fields if hasattr(field, "to_numpy")]
     return sum(array.nbytes for array in arrays), estimate_memory(plan, precision).total
 

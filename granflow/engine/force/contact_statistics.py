@@ -3,7 +3,15 @@
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.exact_sums import SHARES, build_list_shares, carried, energy_words, exact_totals, to_units
+from granflow.engine.exact_sums import (
+    SHARES,
+    build_list_shares,
+    carried,
+    energy_words,
+    exact_total,
+    exact_totals,
+    to_units,
+)
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
@@ -19,6 +27,9 @@ COUNT, OVERLAP = range(len(SUMS))
 ENERGIES = ("elastic_energy", "plastic_dissipation")
 """Sums of energies [J] over contacts."""
 
+GPU_ROWS = 65_536
+"""Largest number of rows of sums on a GPU, each of one thread."""
+
 OVERLAP_UNIT = 2.0**-48
 """Unit of the sum of relative overlaps: a chunk can have 2^15 contacts."""
 
@@ -29,9 +40,10 @@ class ContactStatistics:
     def __init__(self, state: State) -> None:
         self.state = state
         self.block, chunks = FieldBlock(state.backend), state.plan.capacities.chunks
-        self.sums = self.block.vector(ti.i64, chunks, count=len(SUMS))
-        self.energies = self.block.vector(ti.i64, chunks, count=2 * len(ENERGIES))
-        self.largest = self.block.scalar(state.backend.real, chunks)
+        self._rows = chunks if state.backend.on_cpu else min(chunks, GPU_ROWS)
+        self.sums = self.block.vector(ti.i64, self._rows, count=len(SUMS))
+        self.energies = self.block.vector(ti.i64, self._rows, count=2 * len(ENERGIES))
+        self.largest = self.block.scalar(state.backend.real, self._rows)
         self.block.finish()
         self._measure = _build_measure(state, self.sums, self.energies, self.largest)
 
@@ -43,18 +55,22 @@ class ContactStatistics:
         Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """
         state, ranks, chunks = self.state, self.state.ranks, self.state.chunk_count
+        rows = min(chunks, self._rows)
         if chunks:
-            self._measure(chunks, state.count, pose, state.clock.time_step)
-        totals = ranks.total(self.sums.to_numpy()[:chunks]).sum(axis=0) / SHARES * [1.0, OVERLAP_UNIT]
+            self._measure(chunks, rows, state.count, pose, state.clock.time_step)
+        words = ranks.total(self.sums.to_numpy()[:rows])
+        count, overlap = (exact_total(words[:, column]) / SHARES for column in (COUNT, OVERLAP))
         unit = state.plan.sum_units.energy / SHARES
-        energies = exact_totals(ranks.total(self.energies.to_numpy()[:chunks]), unit)
-        largest = ranks.largest(float(self.largest.to_numpy()[:chunks].max(initial=0.0)))
-        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (*totals.tolist(), *energies.tolist(), largest)
+        energies = exact_totals(ranks.total(self.energies.to_numpy()[:rows]), unit)
+        largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
+        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (count, overlap * OVERLAP_UNIT, *energies, largest)
         return dict(zip(names, values, strict=True))
 
 
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
-    """Kernel (chunks, count, pose, time_step): exact sums, energies and the largest relative overlap of each chunk.
+    """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by row.
+
+    A row is that of a chunk, or of every k-th one if there are k rows.
 
     Reads:   position, velocity, radius, mass, neighbor lists, history, walls
     Writes:  coordination_number, wall_contact_count, sums, energies, largest
@@ -65,19 +81,28 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
     per_unit = state.parameter("per_unit")
 
+    @ti.func
+    def particles_of_row(row, rows, chunks, size, count):
+        """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
+        chunk_count = (chunks - row + rows - 1) // rows
+        last = row + (chunk_count - 1) * rows
+        return chunk_count * size - ti.max((last + 1) * size - count, 0)
+
     @ti.kernel
-    def measure(chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
+    def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
         for i in range(count):
             particles.coordination_number[i] = 0
             if ti.static(has_walls):
                 particles.wall_contact_count[i] = 0
-        for task in range(chunks * stride):
+        for task in range(rows * stride):
             if task % stride == 0:
-                chunk = task // stride
+                row = task // stride
                 found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
                 low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
                 per_joule, size = per_unit()[ENERGY], chunk_size()
-                for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+                for k in range(particles_of_row(row, rows, chunks, size, count)):
+                    chunk = row + k // size * rows
+                    i = chunk * size + k % size
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, pose, dt)
@@ -102,8 +127,8 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                                     particles.coordination_number[j] += 1
                             elif ti.static(has_walls):
                                 particles.wall_contact_count[i] += 1
-                sums[chunk], largest[chunk] = found, overlap_largest
-                energy_sums[chunk] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
+                sums[row], largest[row] = found, overlap_largest
+                energy_sums[row] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
 
     return measure
 

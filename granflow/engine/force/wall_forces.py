@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.exact_sums import carried, exact_totals, to_units
+from granflow.engine.exact_sums import carried, exact_totals, shares_rows, to_units
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import IMPULSE_SIZE
-from granflow.plan.sum_units import ANGULAR_IMPULSE, IMPULSE
+from granflow.plan.sum_units import ANGULAR_IMPULSE, CARRY_BITS, IMPULSE
 
 
 def build_add_impulse(state: State) -> Any:
@@ -17,13 +17,20 @@ def build_add_impulse(state: State) -> Any:
         J += -F dt        L += -[(x - p) x F + M] dt        N += F . n dt
 
     with p the point of the wall's rotation in the scene, or the origin without rotation. Sums are exact, because a wall
-    force is the difference of two sums.
+    force is the difference of two sums. Chunks of one particle share rows by atomic additions.
 
     Reads:   position, impulse_row, pivot
     Writes:  impulses
     """
     particles, walls, impulses = state.particles, state.walls, state.control.impulses
-    per_unit = state.parameter("per_unit")
+    per_unit, shared, rows = state.parameter("per_unit"), shares_rows(state), state.capacities.wall_rows
+
+    @ti.func
+    def add_to_shared(chunk, row, terms):
+        for k in ti.static(range(IMPULSE_SIZE)):
+            high = terms[k] >> CARRY_BITS
+            ti.atomic_add(impulses[chunk % rows, row][k], terms[k] - (high << CARRY_BITS))
+            ti.atomic_add(impulses[chunk % rows, row][IMPULSE_SIZE + k], high)
 
     @ti.func
     def add_impulse(chunk, w, i, normal, force, torque, dt):
@@ -34,14 +41,35 @@ def build_add_impulse(state: State) -> Any:
             arm = ti.cast(particles.position[i], ti.f64) - ti.cast(walls.pivot[w], ti.f64)
             angular_impulse += arm.cross(impulse)
             units = ti.cast(per_unit(), ti.f64)
-            sums = impulses[chunk, row]
+            terms = ti.Vector.zero(ti.i64, 2 * IMPULSE_SIZE)
             for axis in ti.static(range(3)):
-                sums[axis] += to_units(units[IMPULSE] * impulse[axis])
-                sums[3 + axis] += to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
-            sums[6] -= to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
-            impulses[chunk, row] = carried(sums, IMPULSE_SIZE)
+                terms[axis] = to_units(units[IMPULSE] * impulse[axis])
+                terms[3 + axis] = to_units(units[ANGULAR_IMPULSE] * angular_impulse[axis])
+            terms[6] = -to_units(units[IMPULSE] * impulse.dot(ti.cast(normal, ti.f64)))
+            if ti.static(shared):
+                add_to_shared(chunk, row, terms)
+            else:
+                impulses[chunk, row] = carried(impulses[chunk, row] + terms, IMPULSE_SIZE)
 
     return add_impulse
+
+
+def build_carry_impulses(state: State) -> Any:
+    """Device function (chunk): move the carries of a row that chunks share, once per step and not beside additions.
+
+    Writes:  impulses
+    """
+    impulses, rows = state.control.impulses, state.capacities.wall_rows
+    shared, measured = impulses is not None and shares_rows(state), state.capacities.measured_walls
+
+    @ti.func
+    def carry_impulses(chunk):
+        if ti.static(shared):
+            if chunk < rows:
+                for row in range(measured):
+                    impulses[chunk, row] = carried(impulses[chunk, row], IMPULSE_SIZE)
+
+    return carry_impulses
 
 
 def wall_impulses(state: State) -> dict[str, np.ndarray]:

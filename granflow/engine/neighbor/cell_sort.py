@@ -54,11 +54,11 @@ def bounds_phase(state: State) -> Phase:
     def lay(rebuild):
         lay_grids(rebuild.count)
 
-    return Phase(part_count, bounds, lay)
+    return Phase(part_count, bounds, BOUNDS, lay)
 
 
 def sort_phases(state: State) -> list[Phase]:
-    """Order of the particles by cell, by id within a cell; deleted particles come last.
+    """Order of the particles by cell, by id within a cell; deleted particles come last, in any order.
 
     Reads:   position, id
     Writes:  cell_start, order
@@ -136,7 +136,7 @@ def class_phases(state: State) -> list[Phase]:
 def _counting_sort(
     state: State, cell_of: Any, cells_of_all: Any, count_of: Any, key: Any, start: Any, order: Any
 ) -> list[Phase]:
-    """Phases that write `order` of particles by `cell_of(i, cells)`, by `key(i)` within a cell.
+    """Phases that write `order` of particles by `cell_of(i, cells)`, by `key(i)` within a cell but the last.
 
     cell_of:       device function, 0 to `cells`
     cells_of_all:  device function, number of cells
@@ -152,6 +152,7 @@ def _counting_sort(
     sorting = state.cell_sort
 
     most_parts, cells_per_task = granularity(state)
+    most_cells, most_blocks, most_particles = start.shape[0], sorting.block_sum.shape[0], order.shape[0]
 
     @ti.func
     def block_count(rebuild):
@@ -215,19 +216,20 @@ def _counting_sort(
             rank = ti.atomic_add(sorting.cell_fill[cell], 1)
             order[start[cell] + rank] = i
 
-    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that.
+    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
+    # deleted particles can hold many of them: the host orders these.
     @ti.func
     def order_cells(task, rebuild):
-        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 1)):
+        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all())):
             _order_by_key(order, key, start[c], start[c + 1])
 
     return [
-        Phase(task_count, clear),
-        Phase(part_count, count_particles),
-        Phase(block_count, sum_block, sum_blocks),
-        Phase(block_count, scan_block),
-        Phase(part_count, place),
-        Phase(task_count, order_cells),
+        Phase(task_count, clear, most_cells),
+        Phase(part_count, count_particles, most_particles),
+        Phase(block_count, sum_block, most_blocks, sum_blocks),
+        Phase(block_count, scan_block, most_blocks),
+        Phase(part_count, place, most_particles),
+        Phase(task_count, order_cells, most_cells),
     ]
 
 

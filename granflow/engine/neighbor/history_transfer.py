@@ -14,14 +14,22 @@ def vector_components(state: State, slot: str) -> list[bool]:
 def build_save_history(state: State) -> Any:
     """Device function (chunk, first, last): copy history entries of a chunk to `saved` for `restore_history`.
 
-    `list_length_needed`: largest number of history entries of a chunk; entries beyond the capacity are not saved, and
-    the host repeats the rebuild with a larger capacity.
+    `list_length_needed`: largest number of history entries of a segment; entries beyond the capacity are not saved, and
+    the host repeats the rebuild with a larger capacity. If each particle is a chunk, it reserves its entries by an
+    atomic addition: their places depend on the threads, and nothing depends on their places.
 
     Reads:   neighbor lists, in_contact, history
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
     neighbors, names = state.neighbors, list(state.neighbors.history)
-    saved_capacity = state.parameter("saved_capacity")
+    saved_capacity, one_segment = state.parameter("saved_capacity"), state.plan.chunk_size == 1
+
+    @ti.func
+    def entries_in_contact(i):
+        count = 0
+        for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+            count += ti.cast(neighbors.in_contact[list_index] == 1, ti.i32)
+        return count
 
     @ti.func
     def save_entry(list_index, saved_index):
@@ -31,8 +39,12 @@ def build_save_history(state: State) -> Any:
 
     @ti.func
     def save_history(chunk, first, last):
-        begin = chunk * saved_capacity()
-        limit, saved_index = begin + saved_capacity(), begin
+        begin, limit = chunk * saved_capacity(), saved_capacity()
+        if ti.static(one_segment):
+            begin = ti.atomic_add(state.control.list_length_needed[0], entries_in_contact(first))
+        else:
+            limit += begin
+        saved_index = begin
         for i in range(first, last):
             neighbors.list_begin_before[i] = saved_index
             for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
@@ -41,7 +53,8 @@ def build_save_history(state: State) -> Any:
                         save_entry(list_index, saved_index)
                     saved_index += 1
             neighbors.list_end_before[i] = saved_index
-        ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
+        if ti.static(not one_segment):
+            ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
 
     return save_history
 

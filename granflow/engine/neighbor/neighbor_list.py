@@ -7,6 +7,7 @@ threads.
 from typing import Any
 
 from granflow.engine.frozen_masks import build_can_touch
+from granflow.engine.limits import FORCES, INTEGRATION, NOT_HALTED
 from granflow.engine.mesh import from_nearest, may_own, triangle_range
 from granflow.engine.neighbor.cells import (
     BLOCK_SIDE,
@@ -36,16 +37,20 @@ def fill_phase(state: State) -> Phase:
     Two particles are listed if their gap is less than their reaches, a particle and a wall if it is less than the reach
     plus half the skin, by which walls may move. The range of forces at a distance is added to both.
 
-    `list_length_needed`: largest number of entries of a chunk; entries beyond the capacity are not stored, and the host
-    repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
+    `list_length_needed`: largest number of entries of a segment; entries beyond the capacity are not stored, and the
+    host repeats this phase with a larger capacity. TOO_LONG is added if the batch is too short for one of the lists.
+
+    If each particle is a chunk, it counts its entries, reserves them by an atomic addition and then stores them. Their
+    places depend on the threads; nothing depends on their places.
 
     Reads:   position, radius, reach, fixed, cells and order of the cell sort, walls, mesh, saved history
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
-             position_at_rebuild, rebuild_due, rebuild_requested
+             position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
     lists, longest_allowed, has_ghosts = NeighborListFill(state), NO_LIMIT, state.plan.has_ghosts
+    can_halt = control.halted_at is not None
     if state.batch is not None:
         longest_allowed = state.batch.longest_list
 
@@ -82,12 +87,30 @@ def fill_phase(state: State) -> Phase:
         ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
 
     @ti.func
+    def fill_one(i, rebuild):
+        particles.position_at_rebuild[i] = particles.position[i]
+        begin, end, limit = 0, 0, 0
+        for _ in range(2):  # a limit of 0 counts the entries
+            owner = ti.Struct(
+                i=i, first=i, end=i + 1, limit=limit, skin=rebuild.skin, reach=sorting.reach_largest[0],
+                pose=rebuild.pose,
+            )  # fmt: skip
+            end = lists.fill(owner, begin)
+            if limit == 0:
+                begin, limit = ti.atomic_add(control.list_length_needed[0], end), list_capacity()
+        neighbors.list_begin[i], neighbors.list_end[i] = begin, end
+
+    @ti.func
     def finish(rebuild):
         sorting.present[0] = present_count(rebuild)
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
+        if ti.static(can_halt):
+            for phase in ti.static((INTEGRATION, FORCES)):
+                control.halted_at[phase] = NOT_HALTED
 
-    return Phase(chunk_count, fill, finish)
+    body = fill_one if state.plan.chunk_size == 1 else fill
+    return Phase(chunk_count, body, state.plan.capacities.chunks, finish)
 
 
 class NeighborListFill:

@@ -26,12 +26,19 @@ class Phase:
 
     count:   (rebuild): number of tasks
     body:    (task, rebuild): one task
+    most:    largest number of tasks; on a GPU the length of the loop
     serial:  (rebuild): after all tasks, on one thread
     """
 
     count: Any
     body: Any
+    most: int
     serial: Any = _nothing
+
+    @property
+    def has_serial(self) -> bool:
+        """Whether the phase has a serial part."""
+        return self.serial is not _nothing
 
 
 def granularity(state: State) -> tuple[int, int]:
@@ -71,14 +78,15 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
     ):  # fmt: skip
         control.running[0], control.list_length_needed[0] = 1, 0
         for number, phase in ti.static(numbered):
-            for task in range(
-                ti.cast(number >= first, ti.i32) * control.running[0]
-                * phase.count(ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose))
-            ):  # fmt: skip
-                phase.body(task, ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose))
-            for _ in range(1):  # a serial loop, one task of the kernel
-                if number >= first and control.running[0] == 1:
-                    phase.serial(ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose))
+            # A constant length: Taichi computes any other one in a dispatch of its own.
+            for task in range(phase.most):
+                rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
+                if number >= first and control.running[0] == 1 and task < phase.count(rebuild):
+                    phase.body(task, rebuild)
+            if ti.static(phase.has_serial):
+                for _ in range(1):  # one task of the kernel
+                    if number >= first and control.running[0] == 1:
+                        phase.serial(ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose))
 
     return rebuild_on_gpu
 

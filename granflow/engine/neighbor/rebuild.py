@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from granflow.engine.contact_histories import HistoryTable
+from granflow.engine.device_flags import DeviceFlags, read_flags
 from granflow.engine.host_copy import copy_to_host, saved_particle_table
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.limits import ABORT_FAR
@@ -49,8 +50,8 @@ class NeighborListRebuild:
     state:       device data
     on_deleted:  receives the index range (first, last), `last` exclusive, of the particles to delete, before they are
                  deleted
-    grow:        increases the list entries per chunk, and the batch, to at least these numbers and compiles all kernels
-                 again
+    grow:        increases the list entries per segment, and the batch, to at least these numbers and compiles all
+                 kernels again
     """
 
     def __init__(self, state: State, on_deleted: Callable[[int, int], None], grow: Callable[[int, int], None]) -> None:
@@ -68,14 +69,13 @@ class NeighborListRebuild:
         workers:  number of workers of the launch
         """
         mark_rebuild(self._state)  # displacements of walls count from here
-        self._launch(pose, workers, REACH_STEPS * self._state.clock.time_step)
-        self._delete()
+        self._delete(self._launch(pose, workers, REACH_STEPS * self._state.clock.time_step))
 
     def put(self, particles: HostParticles) -> None:
         """Put particles, in the order of their ids, on a device without particles; the next rebuild lists them."""
         state, histories = self._state, HistoryTable(self._state)
         state.count = len(particles.arrays["id"])
-        if (needed := histories.longest_chunk(particles.histories)) > state.capacities.list_entries_per_chunk:
+        if (needed := histories.longest_segment(particles.histories)) > state.capacities.list_entries_per_segment:
             self._grow(needed, 0)
         saved_particle_table(state).put(np.arange(state.count), particles.arrays)
         histories.write_lists(particles.histories, particles.arrays["id"])
@@ -89,8 +89,8 @@ class NeighborListRebuild:
         """
         state = self._state
         self.put(particles.at_rebuild(state.plan.periodic_box.at(state.clock.time)))
-        self._launch(pose, workers, KEPT_REACH)
-        if state.count and int(state.cell_sort.present[0]) < state.count:
+        flags = self._launch(pose, workers, KEPT_REACH)
+        if state.count and flags.present < state.count:
             raise GranflowError("The checkpoint contains particles that were in an outlet or outside the domain.")
         present = particles.of(np.searchsorted(particles.arrays["id"], self.ids()))
         saved_particle_table(state).put(np.arange(state.count), present.arrays)
@@ -99,33 +99,35 @@ class NeighborListRebuild:
         """Ids of all particles by index."""
         return copy_to_host(self._state, ("id",))["id"]
 
-    def _launch(self, pose: int, workers: int, reach_time: float) -> None:
-        """Launch the kernel, again after the capacities have grown; particles to delete are then behind the others."""
+    def _launch(self, pose: int, workers: int, reach_time: float) -> DeviceFlags:
+        """Launch the kernel, again after the capacities have grown; particles to delete are then behind the others.
+
+        Returns the flags after the last launch.
+        """
         state = self._state
         first, step = 0 if state.count else self._kernel.fill, state.clock.time_step
         while True:
             self._kernel.launch(workers, first, state.count, state.plan.skin, reach_time, step, pose)
-            control = state.control  # new fields after each growth
-            needed = int(control.list_length_needed[0])
-            if first < self._kernel.fill and int(control.running[0]) == 0:  # the histories do not fit
+            flags = read_flags(state)
+            needed = flags.list_length_needed
+            if first < self._kernel.fill and flags.running == 0:  # the histories do not fit
                 self._grow(list_capacity_for(needed), 0)
-            elif needed > state.capacities.list_entries_per_chunk:
+            elif needed > state.capacities.list_entries_per_segment:
                 too_long, length = divmod(needed, TOO_LONG)
                 self._grow(length, length * too_long)
                 first = self._kernel.fill
             else:
-                break
+                return flags
 
-    def _delete(self) -> None:
+    def _delete(self, flags: DeviceFlags) -> None:
         """Account for the deleted particles, which are behind the others; find one that is too far away."""
         state = self._state
         if not state.count:
             return
-        present = int(state.cell_sort.present[0])
-        if present < state.count:
-            self._on_deleted(present, state.count)
-            state.count = present
-        if state.plan.domain.on_exit == "expand" and int(state.control.abort[0]) == ABORT_FAR:
+        if flags.present < state.count:
+            self._on_deleted(flags.present, state.count)
+            state.count = flags.present
+        if state.plan.domain.on_exit == "expand" and flags.abort == ABORT_FAR:
             find_farthest(state)
 
 
@@ -162,4 +164,4 @@ def _chunk_phases(state: State) -> list[Phase]:
             else:
                 control.list_length_needed[0] = 0
 
-    return [Phase(chunk_count, prepare, check_capacity)] if wraps or saves else []
+    return [Phase(chunk_count, prepare, state.plan.capacities.chunks, check_capacity)] if wraps or saves else []

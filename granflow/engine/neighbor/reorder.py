@@ -60,4 +60,5 @@ def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
             for field, buffer in ti.static(pairs):
                 field[k] = ti.cast(buffer[k], field.dtype)
 
-    return [Phase(part_count, gather), Phase(part_count, copy_back)]
+    most = order.shape[0]
+    return [Phase(part_count, gather, most), Phase(part_count, copy_back, most)]

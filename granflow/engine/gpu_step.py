@@ -1,0 +1,60 @@
+"""Kernel of a time step on a GPU, in two dispatches: integration, then contact forces; each chunk is a task.
+
+The host launches many steps before it reads a flag. A step that requests a rebuild, or aborts, records the number of
+its launch in `halted_at`; all later launches then do nothing. A phase compares numbers that no task of the same phase
+can change for it, so that all of its tasks decide alike, and no serial task is needed between the phases.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from granflow.engine.limits import FORCES, INTEGRATION
+from granflow.engine.state import State
+from granflow.engine.wall_dynamics import build_move_walls
+from granflow.kernel_language import ti
+
+
+def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., None]:
+    """Kernel for one step on a GPU.
+
+    integrate, forces:  device functions of `build_integrate` and `build_forces`
+
+    Arguments: number of the launch, number of steps before it since the flags were read, number of chunks, particle
+    count, pose, time step [s], and whether to integrate (`moving`) and compute forces (`forcing`).
+
+    The loops have constant lengths: Taichi computes any other length in a dispatch of its own.
+
+    Reads:   as the phases
+    Writes:  as the phases; halted_at, steps_done
+    """
+    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
+    move_walls = build_move_walls(state) if force_controlled else None
+    most_chunks = state.plan.capacities.chunks
+
+    @ti.func
+    def record_halt(phase: ti.template(), number):
+        """Record that this launch requests a rebuild or aborts; each task that does so sees its own request."""
+        if control.abort[0] != 0 or (phase == INTEGRATION and control.rebuild_requested[0] == 1):
+            if control.halted_at[phase] != number:
+                control.halted_at[phase] = number
+
+    @ti.kernel
+    def step_on_gpu(
+        number: ti.i32, steps_before: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
+    ):  # fmt: skip
+        for chunk in range(most_chunks):
+            if chunk < moving * chunks and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
+                if chunk == 0:
+                    control.steps_done[0] = steps_before
+                    if ti.static(force_controlled):
+                        move_walls(chunks, pose, dt)
+                integrate(chunk, count, pose, dt)
+                record_halt(INTEGRATION, number)
+        for chunk in range(most_chunks):
+            if chunk < forcing * chunks and control.halted_at[INTEGRATION] > number:
+                if control.halted_at[FORCES] >= number:
+                    forces(0, chunk, count, pose, dt)
+                    record_halt(FORCES, number)
+
+    return step_on_gpu

@@ -1,0 +1,98 @@
+"""The code path of a GPU, executed on the CPU: the bits of the CPU's code path, and the number of dispatches."""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections import Counter
+
+import numpy as np
+import pytest
+from gpu.scenes import SCENES
+from subprocess_runner import in_subprocess
+
+from granflow.engine import backend
+from granflow.engine.gpu_stepper import GPU_BATCH
+from granflow.simulation import Simulation
+
+OTHERS = [name for name in SCENES if name != "servo and free wall"]
+MOST_DISPATCHES_OF_A_REBUILD = 20
+"""A phase is one dispatch, and one more if it has a serial part; with one grid and friction there are 18."""
+
+
+def use_gpu_code_path():
+    """Each chunk is a task of its own, and the host reads flags by kernels."""
+    backend.Backend.on_cpu = property(lambda self: False)
+
+
+def results(name, as_on_gpu):
+    """Digest of all arrays at the end of a run, its totals (of a snapshot without arrays) and counts."""
+    if as_on_gpu:
+        use_gpu_code_path()
+    os.chdir(tempfile.mkdtemp())
+    simulation = Simulation(SCENES[name](os.getcwd()), threads=2)
+    simulation.run()
+    last, timing = simulation.snapshot(contacts=True), simulation.engine.timing
+    arrays = [*last.particles.values(), *last.contacts.values(), *last.impulses.values()]
+    arrays += [wall.offset for wall in last.walls.values()]
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+    counts = [timing.step_count, timing.rebuild_count, int(last.totals["contact_count"])]
+    totals = simulation.engine.snapshot("end", frozenset({"totals"})).totals
+    assert dict(totals) == dict(last.totals)
+    return digest, json.dumps(dict(totals), sort_keys=True), counts
+
+
+def assert_same_results(name):
+    cpu, gpu = in_subprocess(results, name, False, seconds=600), in_subprocess(results, name, True, seconds=600)
+    assert cpu[2][1] > 2, "the neighbor lists are rebuilt"
+    assert gpu == cpu
+
+
+def test_servo_and_free_walls_have_the_bits_of_the_cpu_code_path():
+    assert_same_results("servo and free wall")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1300)
+@pytest.mark.parametrize("name", OTHERS)
+def test_each_scene_has_the_bits_of_the_cpu_code_path(name):
+    assert_same_results(name)
+
+
+def dispatches(name):
+    """Dispatches of 4 batches of steps, of a rebuild, and kernel launches that read flags, as counted by Taichi."""
+    os.environ["TI_KERNEL_PROFILER"] = "1"
+    use_gpu_code_path()
+    os.chdir(tempfile.mkdtemp())
+    simulation = Simulation(SCENES[name](os.getcwd()), threads=1)
+    simulation.step(1)
+    engine, found = simulation.engine, Counter()
+    while not found and engine.step_count < 400:  # four batches without a rebuild and without a sampled step
+        rebuilds, engine.stepper._since_sample = engine.timing.rebuild_count, 0
+        counted_tasks()
+        engine.advance(4 * GPU_BATCH)
+        found = Counter() if engine.timing.rebuild_count > rebuilds else counted_tasks()
+    counted_tasks()
+    engine.stepper.rebuild_neighbor_lists(engine.step_count, 0)
+    return found, counted_tasks()
+
+
+def counted_tasks():
+    """Dispatches since the last call by name of the kernel."""
+    import taichi
+    from taichi.profiler.kernel_profiler import get_default_kernel_profiler
+
+    taichi.sync()
+    profiler = get_default_kernel_profiler()
+    profiler._update_records()
+    tasks = Counter(record.name.split("_c")[0] for record in profiler._traced_records)
+    taichi.profiler.clear_kernel_profiler_info()
+    return tasks
+
+
+@pytest.mark.parametrize("name", ["servo and free wall"])
+def test_a_step_is_two_dispatches_and_a_batch_one_read(name):
+    steps, rebuild = in_subprocess(dispatches, name)
+    assert steps == {"step_on_gpu": 2 * 4 * GPU_BATCH, "flags": 4}
+    assert rebuild["flags"] == 1
+    assert rebuild["rebuild_on_gpu"] <= MOST_DISPATCHES_OF_A_REBUILD
