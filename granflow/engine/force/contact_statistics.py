@@ -63,7 +63,7 @@ class ContactStatistics:
         unit = state.plan.sum_units.energy / SHARES
         energies = exact_totals(ranks.total(self.energies.to_numpy()[:rows]), unit)
         largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
-        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (count, overlap * OVERLAP_UNIT, *energies, largest)
+        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (count, overlap * OVERLAP_UNIT, *energies.tolist(), largest)
         return dict(zip(names, values, strict=True))
 
 
