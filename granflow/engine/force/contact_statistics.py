@@ -63,8 +63,8 @@ class ContactStatistics:
         unit = state.plan.sum_units.energy / SHARES
         energies = exact_totals(ranks.total(self.energies.to_numpy()[:rows]), unit)
         largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
-        names, values = (*SUMS, *ENERGIES, "overlap_largest"), (count, overlap * OVERLAP_UNIT, *energies.tolist(), largest)
-        return dict(zip(names, values, strict=True))
+        values = (count, overlap * OVERLAP_UNIT, *energies.tolist(), largest)
+        return dict(zip((*SUMS, *ENERGIES, "overlap_largest"), values, strict=True))
 
 
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
