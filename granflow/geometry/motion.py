@@ -43,8 +43,8 @@ class Vibration:
 
 
 @dataclass(frozen=True)
-class Translation:
-    """Translation with a `velocity` [m/s] from `start` to `end` [s], constant after the ramp."""
+class VelocityMotion:
+    """A `velocity` [m/s] from `start` to `end` [s], constant after the ramp."""
 
     velocity: tuple[float, float, float]
     start: float = 0.0
@@ -53,18 +53,15 @@ class Translation:
     ramp_duration: float = 0.0
 
 
-@dataclass(frozen=True)
-class SurfaceVelocity:
-    """Velocity [m/s] of the surface of a wall along itself, as of a belt; the wall does not move.
+class Translation(VelocityMotion):
+    """Translation with the velocity."""
 
-    velocity:  in the frame of the wall; at a contact, its component in the contact plane acts
+
+class SurfaceVelocity(VelocityMotion):
+    """Velocity of the surface of a wall along itself, as of a belt; the wall does not move.
+
+    It is given in the frame of the wall; at a contact, its component in the contact plane acts.
     """
-
-    velocity: tuple[float, float, float]
-    start: float = 0.0
-    end: float = inf
-    initial_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ramp_duration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -110,16 +107,7 @@ class Placement:
     end: float = inf
 
 
-Motion = (
-    Vibration
-    | Translation
-    | Rotation
-    | TableTranslation
-    | TableRotation
-    | SurfaceVelocity
-    | ForceControlled
-    | Placement
-)
+Motion = Vibration | VelocityMotion | Rotation | TableTranslation | TableRotation | ForceControlled | Placement
 """Motion of a wall; a wall can have several, of which at most one is a rotation, and the first can be a placement."""
 
 
@@ -157,7 +145,7 @@ def pose(motions: Sequence[Motion], times: np.ndarray) -> Poses:
     times = np.atleast_1d(np.asarray(times, dtype=np.float64))
     offset, velocity, surface_velocity = np.zeros((3, len(times), 3))
     for motion in motions:
-        if isinstance(motion, Vibration | Translation | TableTranslation | SurfaceVelocity):
+        if isinstance(motion, Vibration | VelocityMotion | TableTranslation):
             displacement, rate = displacement_and_rate(motion, times)
             if isinstance(motion, SurfaceVelocity):
                 surface_velocity += rate
@@ -195,14 +183,14 @@ def placement_at(motions: Sequence[Motion], time: float) -> Placement:
 
 
 def displacement_and_rate(
-    motion: Vibration | Translation | TableTranslation | SurfaceVelocity, times: np.ndarray
+    motion: Vibration | VelocityMotion | TableTranslation, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement (k, 3) [m] and velocity (k, 3) [m/s] of one motion at `times` (k,) [s].
 
     The velocity is zero outside start <= t < end.
     """
     time_active, running = elapsed(motion, times), is_running(motion, times)
-    if isinstance(motion, Translation | SurfaceVelocity):
+    if isinstance(motion, VelocityMotion):
         velocity = np.asarray(motion.velocity, dtype=np.float64)
         change, (lag, remaining) = velocity - motion.initial_velocity, ramp(motion.ramp_duration, time_active)
         rate = velocity - np.outer(remaining, change)

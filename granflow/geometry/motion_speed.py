@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from granflow.geometry.motion import Motion, Rotation, SurfaceVelocity, Translation, Vibration
+from granflow.geometry.motion import Motion, Rotation, Translation, VelocityMotion, Vibration
 from granflow.geometry.motion_table import TableRotation, TableTranslation
 
 
@@ -28,7 +28,7 @@ def speed_bound(motions: Sequence[Motion], reach: float) -> float:
     return bound
 
 
-def top_speed(motion: Translation | SurfaceVelocity) -> float:
+def top_speed(motion: VelocityMotion) -> float:
     """Largest speed [m/s] of the motion, at the start or at the end of its ramp."""
     ends = np.linalg.norm([motion.velocity, motion.initial_velocity], axis=1)
     return float(ends.max()) if motion.ramp_duration else float(ends[0])

@@ -71,7 +71,7 @@ class TimeSeries(ScheduledObserver):
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
         self.wants = self.wants.union(*(metric.wants for metric in (metrics or {}).values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
-        self.last_row: Row | None = None
+        self._last: tuple[float, float, Mapping[str, float]] | None = None
         self._names: list[str] = []
         self._file: FileIO | None = None
         self._size = 0
@@ -88,17 +88,25 @@ class TimeSeries(ScheduledObserver):
         for meters in self.meters.values():
             for meter in meters.values():
                 meter.update(snapshot)
-        readings = self._readings()
-        named = {name: value for kind in self.meters for name, value in self._numbers(kind).items()}
-        self.last_row = Row(snapshot.time, snapshot.time if before is None else before, {**snapshot.totals, **named})
+        self._last = snapshot.time, snapshot.time if before is None else before, snapshot.totals
         if self.path is None:
             return
+        readings = self._readings()
         if not self._size and not self._unwritten:
             known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
             self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
             self._write_row(["time [s]", "stage", *map(_column_label, self._names), *readings])
         totals = [snapshot.totals.get(name, "") for name in self._names]
         self._write_row([snapshot.time, snapshot.stage, *totals, *readings.values()])
+
+    @property
+    def last_row(self) -> Row | None:
+        """The last row of this process, from the present readings of the meters; without a request it costs nothing."""
+        if self._last is None:
+            return None
+        time, time_before, totals = self._last
+        readings = {f"{quantity}.{name}": value for quantity, name, value in self._read_meters()}
+        return Row(time, time_before, {**totals, **readings})
 
     def finish(self) -> None:
         """Close the file."""
@@ -130,12 +138,13 @@ class TimeSeries(ScheduledObserver):
 
     def _readings(self) -> dict[str, float]:
         """Return the readings of all meters by column name, with units, in the order of the columns."""
-        named = [each for kind in self.meters for each in self._named(kind)]
-        return {READINGS[key].label_of(name): value for name, meter in named for key, value in meter.readings().items()}
+        return {READINGS[quantity].label_of(name): value for quantity, name, value in self._read_meters()}
 
-    def _numbers(self, kind: str) -> dict[str, float]:
-        """Return the readings of the meters of a kind by their names in `expect`, such as wall_pressure.lid."""
-        return {f"{key}.{name}": value for name, meter in self._named(kind) for key, value in meter.readings().items()}
+    def _read_meters(self) -> Iterator[tuple[str, str, float]]:
+        """Yield quantity, name of the meter and value of all readings, in the order of the columns."""
+        for kind in self.meters:
+            for name, meter in self._named(kind):
+                yield from ((quantity, name, value) for quantity, value in meter.readings().items())
 
     def state_dict(self) -> dict[str, Any]:
         """Flush all rows to the disk; return the file size [bytes], the columns and the state of the meters."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.io.regular_files import resolved
+from granflow.io.regular_files import path_below
 from granflow.particles.group import SceneGroup
 from granflow.particles.particle_data import ParticleData, particles_of
 from granflow.particles.table import ParticleTable, read_particles
@@ -23,12 +23,11 @@ def table_of(group: SceneGroup) -> ParticleTable:
     if not isinstance(insertion, FileInsertion):
         raise ValueError(f"{group.name} is not read from a file.")
     try:
-        folder = resolved(group.folder)
-        path = resolved(folder / insertion.file)
+        path = path_below(group.folder, insertion.file)
     except OSError as error:
         raise SceneError(f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
     location = group.locate("insert", "file")
-    if not path.is_relative_to(folder):
+    if path is None:
         raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
     if not path.exists():
         key = f"particles.{group.name}.insert.file"

@@ -1,21 +1,28 @@
 """Motions of walls from CSV files: the rows of a file become the columns of the motion in the resolved scene."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 
 from granflow.errors import FileError, SceneError
-from granflow.io.regular_files import FormatError, resolved
+from granflow.io.regular_files import FormatError, path_below
 from granflow.io.tables import Table, read_table
+from granflow.particles.table import UNIT, unit_factor
 from granflow.scene.schema.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
 from granflow.scene.schema.scene import SceneInput
-from granflow.scene.schema.units import UnitError, to_si
 from granflow.scene.suggest import nearest
 
-_UNIT = re.compile(r"^(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*$")
-NAMES = {"time": "times", **{name[:-1].replace("velocitie", "velocity"): name for name in TABLE_COLUMNS}}
+NAMES = {
+    "time": "times",
+    "displacement": "displacements",
+    "velocity": "velocities",
+    "angle": "angles",
+    "angular_velocity": "angular_velocities",
+}
 """Names of the columns of a file, and the keys of the motion."""
+
+DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
+"""Dimension of each key."""
 
 
 def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
@@ -50,9 +57,8 @@ def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
 
     Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
     """
-    base = resolved(folder)
-    path = resolved(base / str(motion.file))
-    if not path.is_relative_to(base):
+    path = path_below(folder, str(motion.file))
+    if path is None:
         raise FormatError("it leads out of the scene's folder; put the file itself there")
     if not path.exists():
         raise FormatError("the scene's folder has no such file")
@@ -69,10 +75,9 @@ def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
     """Columns of the motion by key [SI]. Raises FileError for the header or the first invalid row."""
     indices: dict[str, tuple[int, float]] = {}
     for index, heading in enumerate(table.names):
-        match = _UNIT.match(heading)
-        name, unit = (match[1].strip().lower(), match[2]) if match else (heading, None)
-        if name in NAMES:
-            indices[NAMES[name]] = index, _factor(path, table, heading, NAMES[name], unit)
+        key = NAMES.get(UNIT.sub("", heading).strip().lower())
+        if key is not None:
+            indices[key] = index, unit_factor(path, table, index, DIMENSIONS[key])
     given = [name for name in TABLE_COLUMNS if name in indices]
     if "times" not in indices or len(given) != 1:
         unknown = next((name for name in table.names if nearest(name, NAMES) and name not in NAMES), None)
@@ -97,13 +102,3 @@ def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
     if len(table.rows) < 2:
         raise FileError([f"{path}: the table must have at least two rows."])
     return {key: tuple(values.tolist()) for key, values in columns.items()}
-
-
-def _factor(path: Path, table: Table, heading: str, key: str, unit: str | None) -> float:
-    """Factor of a column to SI; 1 without a unit. Raises FileError for an invalid unit."""
-    if unit is None or not unit.strip():
-        return 1.0
-    try:
-        return to_si(f"1 {unit.strip()}", ({"times": "time"} | TABLE_COLUMNS)[key])
-    except UnitError as error:
-        raise FileError([f"{path}:{table.heading_line}: the unit of {heading} is invalid: {error}."]) from None

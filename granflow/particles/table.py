@@ -45,7 +45,7 @@ DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") | {
 }
 """Dimension of each quantity, in which the unit of its columns is converted to SI."""
 
-_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     material = np.array(table.texts(columns.pop("material")[0]), dtype=str) if "material" in columns else None
     numbers = {}
     for quantity, indices in columns.items():
-        factors = [_factor(path, table, index, quantity) for index in indices]
+        factors = [unit_factor(path, table, index, DIMENSIONS[quantity]) for index in indices]
         values = [_numbers(table, index, problems) for index in indices]
         numbers[quantity] = np.stack(values, axis=1) * factors
     radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
@@ -203,7 +203,7 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
     Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]" are
     recognized; see COLUMN_NAMES.
     """
-    plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", name).lower()) for name in names]
+    plain = [re.sub(r"[^a-z0-9]", "", UNIT.sub("", name).lower()) for name in names]
     wanted: dict[str, list[Sequence[str]]] = {
         quantity: [
             [name for word in words for name in (word + axis, axis + word, *([f"{word}{k}"] if word else []))]
@@ -226,16 +226,16 @@ def _is_header(names: Sequence[str]) -> bool:
     return "position" in columns and ("radius" in columns or "diameter" in columns)
 
 
-def _factor(path: Path, table: Table, index: int, quantity: str) -> float:
-    """Factor of a column to SI, from the unit after its name; 1 without a unit.
+def unit_factor(path: Path, table: Table, index: int, dimension: str) -> float:
+    """Factor of a column of a dimension to SI, from the unit after its name; 1 without a unit.
 
     Raises SceneError for an invalid unit.
     """
     name = table.names[index]
-    unit = _UNIT.search(name)
+    unit = UNIT.search(name)
     if unit is None or not unit[1].strip():
         return 1.0
     try:
-        return to_si(f"1 {unit[1].strip()}", DIMENSIONS[quantity])
+        return to_si(f"1 {unit[1].strip()}", dimension)
     except UnitError as error:
         raise SceneError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None

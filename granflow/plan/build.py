@@ -86,7 +86,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     pair_cases = tuple(pair_cases_of(scene))
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
-    refuse_fast_motion(scene, step.value)
+    refuse_fast_motion(scene, walls, step.value)
     speeds = wall_speeds(scene, walls)
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)

@@ -12,7 +12,7 @@ from granflow.geometry.mesh.file import read_triangles
 from granflow.geometry.mesh.mesh import Mesh, mesh_of
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
-from granflow.io.regular_files import FormatError, resolved
+from granflow.io.regular_files import FormatError, path_below
 from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.quantities import Vector3
@@ -68,11 +68,10 @@ def mesh_path(scene: Scene, wall: MeshWall) -> Path:
     read.
     """
     try:
-        folder = resolved(scene.folder)
-        path = resolved(folder / wall.file)
+        path = path_below(scene.folder, wall.file)
     except OSError as error:
         raise FormatError(f"cannot be read: {error.strerror}") from None
-    if not path.is_relative_to(folder):
+    if path is None:
         raise FormatError("leads out of the scene's folder by a symbolic link; put the file itself there")
     return path
 

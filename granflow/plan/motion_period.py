@@ -1,27 +1,30 @@
 """Wall motions: the time step must resolve their period, or the rows of their table."""
 
 import math
-from itertools import pairwise
-from typing import Any
+from collections.abc import Sequence
 
 from granflow.errors import SceneError
+from granflow.geometry.motion import Motion
+from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.load import Scene
-from granflow.scene.schema.motions import Rotation, TableMotion, Vibration
+from granflow.plan.walls import PlannedWall
+from granflow.scene.schema.motions import Rotation, Vibration
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
 
 
-def refuse_fast_motion(scene: Scene, time_step: float) -> None:
+def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: float) -> None:
     """Raise SceneError for each vibration or rotation whose period is shorter than ten time steps [s].
 
     Rows of a table must be at least one time step apart. One SceneError names all such motions, each with the largest
-    permitted time step.
+    permitted time step. `walls`: those of the scene in numeric form.
     """
     problems = []
+    planned = {wall.name: wall.motions for wall in walls}
     for name, wall in scene.walls.items():
         for index, motion in enumerate(wall.motion):
-            shortest = _shortest_row(motion)
+            shortest = _shortest_row(planned[name][index].given)
             if time_step > shortest * (1.0 + 1e-9):
                 problems.append(
                     f"{scene.locate('walls', name, 'motion', index)}: walls.{name}.motion.{index} has rows that are "
@@ -40,11 +43,9 @@ def refuse_fast_motion(scene: Scene, time_step: float) -> None:
         raise SceneError(problems)
 
 
-def _shortest_row(motion: Any) -> float:
+def _shortest_row(motion: Motion) -> float:
     """Shortest time [s] between two rows of a table; infinite for other motions."""
-    if not isinstance(motion, TableMotion) or motion.times is None:
-        return math.inf
-    return min(after - before for before, after in pairwise(motion.times))
+    return motion.table.shortest_step if isinstance(motion, TableTranslation | TableRotation) else math.inf
 
 
 def _period(motion: Vibration | Rotation, scene: Scene) -> float:

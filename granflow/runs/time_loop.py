@@ -152,8 +152,9 @@ class TimeLoop:
         """Forget the target; evaluate the conditions of the stage, if the time series has a new row."""
         progress = self.state.progress
         progress.target = None
-        row = self.state.observers.row_at(self.engine.time)
-        if row is not None and not progress.has_ended(progress.stage):
+        if not progress.conditions.since or progress.has_ended(progress.stage):
+            return
+        if (row := self.state.observers.row_at(self.engine.time)) is not None:
             stage = next(each for each in self.engine.plan.stages if each.name == progress.stage)
             progress.conditions.add_row(stage, progress.stage_times[stage.name][0], row)
 

@@ -153,7 +153,8 @@ def _scales(particles: Sequence[FrameParticles], scene: Scene | None) -> Iterabl
         if chosen == MOST_COLORS or not all(name in each.arrays for each in particles):
             continue
         values = [values_of(each.arrays, name) for each in particles]
-        finite = np.concatenate(values)[np.isfinite(np.concatenate(values))]
+        together = np.concatenate(values)
+        finite = together[np.isfinite(together)]
         if name == "velocity" or (len(finite) and finite.min() < finite.max()):
             chosen += 1
             yield scale_for(name, values, particles[-1].arrays[name].ndim == 2, names)
