@@ -9,7 +9,7 @@ from inspect import modulesbyfile
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.engine.backend import start
+    from granflow.engine.state_cache import start
     from granflow.errors import FunctionError, GranflowError, OutputError, RunError, SceneError, StopRun
     from granflow.live.forces import ParticleForce
     from granflow.load import Scene
@@ -260,7 +260,7 @@ _LOCATIONS = {
     "plan_for": "granflow.plan.build:plan_for",
     "read_run": "granflow.runs.read_run:read_run",
     "register_contact_model": "granflow.scene.registration:register_contact_model",
-    "start": "granflow.engine.backend:start",
+    "start": "granflow.engine.state_cache:start",
     "steady_flow": "granflow.observers.flow_meters:steady_flow",
     "sweep": "granflow.studies.sweep.sweep:sweep",
 }

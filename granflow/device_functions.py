@@ -105,8 +105,20 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
         rest = rest.splitlines()[-1]
     rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
     words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
-    remedy = "; give numbers of the program in `parameters`" if _UNDEFINED.search(words) else ""
-    return f"{where}{words or type(error).__name__}{remedy}"
+    return f"{where}{words or type(error).__name__}{_remedy(error, words)}"
+
+
+def _remedy(error: Exception, words: str) -> str:
+    """End of the sentence on a device function that cannot be compiled for the reason `words`; empty without remedy."""
+    if _UNDEFINED.search(words):
+        return "; give numbers of the program in `parameters`"
+    if words.endswith("could not get source code"):
+        return ": define all functions in a file or a notebook cell"
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, AttributeError):
+        cause = cause.__context__
+    members = ", ".join(sorted(getattr(getattr(cause, "obj", None), "keys", ())))
+    return f"; its members are {members}" if members else ""
 
 
 def _is_library(file: str) -> bool:

@@ -12,6 +12,7 @@ from granflow.particles.resolve import resolved_input
 from granflow.scene.document import DocumentError
 from granflow.scene.mapping import document_of
 from granflow.scene.reader import document_in, scene_in
+from granflow.scene.schema.fields import Model
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.run import Precision
 from granflow.scene.schema.scene import SceneInput
@@ -31,6 +32,20 @@ class FrozenDict(dict[str, Any]):
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
         return dict, (dict(self),)
+
+
+def _frozen(value: Any) -> Any:
+    """The value with mappings that cannot be changed, at any depth of blocks and mappings."""
+    if isinstance(value, dict):
+        return FrozenDict({name: _frozen(each) for name, each in value.items()})
+    if not isinstance(value, Model):
+        return value
+    changed = {name: part for name, each in value if (part := _frozen(each)) is not each}
+    if not changed:
+        return value
+    copied = value.model_copy()
+    copied.__dict__.update(changed)  # the names of the given fields remain
+    return copied
 
 
 class Scene(SceneInput):
@@ -82,9 +97,7 @@ class Scene(SceneInput):
         `read`: read particle files again even if the scene has their summary. Raises SceneError.
         """
         source = resolved_input(written, read)
-        fields: dict[str, Any] = {
-            name: FrozenDict(value) if isinstance(value, dict) else value for name, value in source
-        }
+        fields: dict[str, Any] = {name: _frozen(value) for name, value in source}
         scene = cls.model_construct(source.model_fields_set, **fields)
         for name in source.__private_attributes__:
             setattr(scene, name, getattr(source, name))
@@ -168,8 +181,10 @@ class Scene(SceneInput):
         if problems := self.problems_without_program():
             raise SceneError(problems)
 
-    def with_precision(self, precision: Precision) -> "Scene":
-        """The same scene with another floating-point precision."""
+    def with_precision(self, precision: Precision | None) -> "Scene":
+        """The same scene with another floating-point precision, unless it is None."""
+        if precision is None:
+            return self
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
 
 

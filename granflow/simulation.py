@@ -1,42 +1,35 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from math import inf, isfinite
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from granflow.engine.backend import Arch, Backend, Precision, start
+from granflow.engine.backend import Arch, Precision
 from granflow.engine.engine import Engine
+from granflow.engine.state_cache import start
 from granflow.errors import GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
-from granflow.live.forces import Forces, ParticleForce, plan_with_forces
+from granflow.live.forces import Forces, ParticleForce
 from granflow.live.particles import LiveParticles
 from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
 from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
 from granflow.particles.particle_data import ParticleData
-from granflow.plan.build import plan_for
-from granflow.plan.memory_check import refuse_too_many, refuse_without_device_memory, refuse_without_memory
 from granflow.plan.plan import Plan
-from granflow.plan.ranks import rank_plan
-from granflow.plan.run_time import refuse_run_time
-from granflow.runs.initial_particles import initial_state, warnings_before
-from granflow.runs.insertion import ParticleInsertion
+from granflow.run_start import engine_for, run_start
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
-from granflow.runs.python_changes import changed_plan, refuse_other_functions, saved_parameters
+from granflow.runs.python_changes import saved_parameters
 from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
-from granflow.runs.resume import accepted_change
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
+from granflow.runs.run_times import end_of_run
 from granflow.runs.session import RunSession
 from granflow.runs.time_loop import TimeLoop
-from granflow.runs.timings import WallClock, collect_result
-from granflow.scene.schema.units import seconds_of
+from granflow.runs.timings import WallClock
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, readable, visible_line
 
@@ -85,7 +78,8 @@ class Simulation:
     `is_stopped`: whether an observer has ended the last `run` or `step` with StopRun.
     `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
-    All simulations in one process must have the same architecture, precision and threads.
+    Simulations in use at the same time in one process must have the same architecture, precision and threads;
+    `free` ends the use.
     """
 
     def __init__(
@@ -111,34 +105,27 @@ class Simulation:
         if communicator is not None:
             refuse_on_ranks(arch, forces)
         resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
-        if precision is not None:
-            scene = scene.with_precision(precision)
+        scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
         self.files = RunDirectory(None if out is None else Path(out), scene, resume, overwrite)
-        original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
-        plan = original if resume is None else changed_plan(original, resume)
-        plan = plan_with_forces(plan, forces, backend)
-        refuse_run_time(plan, allow_long)
-        _refuse_size(plan, backend, communicator)
-        change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
-        if resume is not None:
-            refuse_other_functions(resume, plan.external_forces, [*map(name_of, observers)], allow_changes)
-        initial, earlier = initial_state(scene, plan, particles, resume)
-        self.warnings = warnings_before(scene, plan, initial)
-        insertion = ParticleInsertion(scene, earlier)
+        names = map(name_of, observers)
+        begin = run_start(
+            scene, backend, particles, resume, forces, names, plan, communicator, allow_changes, allow_long
+        )  # fmt: skip
+        self.warnings, plan = begin.warnings, begin.plan
         self.files.create()
         self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)
-        engine = Engine(plan, backend) if communicator is None else _rank_engine(plan, backend, communicator)
-        self._state = RunState(engine, insertion, self.observers, wall_clock, earlier, original)
+        engine = engine_for(plan, backend, communicator)
+        self._state = RunState(engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original)
         self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
-        if initial is not None:
-            engine.insert(initial)
-        if resume is not None and change is not None:
+        if begin.initial is not None:
+            engine.insert(begin.initial)
+        if resume is not None and begin.change is not None:
             self.observers.remove_named(resume.saved["changes"]["removed_observers"])
             for force in forces:
                 force.parameters.update(saved_parameters(resume, force.planned))
-            self._state.load_state_dict(resume, change)
+            self._state.load_state_dict(resume, begin.change)
         self.particles = LiveParticles(self._state)
         self.walls = LiveWalls(self._state)
         self.forces = Forces(self._state, forces)
@@ -208,17 +195,13 @@ class Simulation:
                   FunctionError if a function from Python fails, OutputError if files cannot be written; before the
                   last two, a checkpoint is written if possible
         """
-        until, duration = (
-            None if time is None else seconds_of(name, time)
-            for name, time in (("until", until), ("duration", duration))
-        )
-        end = self._end(until, duration)
+        end = end_of_run(until, duration, self.time, self.time_step)
         self.is_stopped = False
         with self._session.running():
             self._advance(end, within_stages)
-            result = self._result()
+            result = self._loop.result()
         is_complete = until is None and duration is None and not self._in_block
-        return self._session.close(self._last_result) if is_complete else result
+        return self._session.close(self._loop.last_result) if is_complete else result
 
     def step(self, count: int = 1) -> None:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
@@ -245,7 +228,7 @@ class Simulation:
 
         Returns the numbers of the run; None if no step was taken since the files were finished.
         """
-        return self._session.close(self._last_result) if self._session.is_open else None
+        return self._session.close(self._loop.last_result) if self._session.is_open else None
 
     def __enter__(self) -> "Simulation":
         self._in_block = True
@@ -284,22 +267,6 @@ class Simulation:
         finally:
             self.engine.free()
 
-    def _end(self, until: float | None, duration: float | None) -> float:
-        """End [s] of a run with these arguments. Raises ValueError."""
-        if until is not None and duration is not None:
-            raise ValueError("run takes until or duration, not both.")
-        end = inf if until is None else until
-        if duration is not None:
-            end = self.time + duration
-        given = "until" if duration is None else "duration"
-        if until is not None and until < self.time - self.time_step:
-            raise ValueError(f"until is {until:g} s, but the simulation is at {self.time:g} s.")
-        if (until is not None or duration is not None) and not isfinite(end):
-            raise ValueError(f"{given} is {until if duration is None else duration} s, but must be finite.")
-        if duration is not None and duration < 0.0:
-            raise ValueError(f"duration is {duration:g} s, but must not be negative.")
-        return end
-
     def _advance(self, end: float, within_stages: bool = False) -> None:
         """Advance to `end` [s], unless an observer ends the run before."""
         try:
@@ -307,23 +274,6 @@ class Simulation:
                 self._loop.run(end, within_stages)
         except StopRun:
             self.is_stopped = True
-
-    def _last_result(self) -> Result:
-        """Numbers of the run at its end, which is logged."""
-        result = self._result()
-        self._state.insertion.log_end()
-        self.observers.log_end()
-        self._loop.log_end()
-        return result
-
-    def _result(self) -> Result:
-        """Numbers of the run so far, with expectations if all stages have ended."""
-        totals = self.engine.observe(self.stage, frozenset({TOTALS})).totals
-        readings = {**self.observers.readings(), "insertion": self._state.insertion.results()}
-        result = collect_result(self.engine, self._state.wall_clock, totals, readings)
-        if not self._loop.stages_ended:
-            return replace(result, is_complete=False)
-        return result.with_expectations(self.plan.expectations)
 
     def __repr__(self) -> str:
         """One line: title, simulated time [s], steps, stage."""
@@ -345,20 +295,3 @@ class Simulation:
             ("files", str(self.files.path or "none")),
         ]
         return html_table(self.plan.title, rows)
-
-
-def _rank_engine(plan: Plan, backend: Backend, communicator: "Communicator") -> Engine:
-    """The engine of the root; only such runs import it."""
-    from granflow.parallel.rank_engine import RankEngine
-
-    return RankEngine(plan, backend, communicator)
-
-
-def _refuse_size(plan: Plan, backend: Backend, communicator: "Communicator | None") -> None:
-    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
-    plan = plan if communicator is None else rank_plan(plan, communicator.size)
-    refuse_too_many(plan)
-    if backend.on_cpu:
-        refuse_without_memory(plan)
-    else:
-        refuse_without_device_memory(plan, backend.arch)

@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, TOTAL_QUANTITIES
+from granflow.fields import CONTACT_QUANTITIES, ENERGY_BUDGET_QUANTITIES, PARTICLE_QUANTITIES, TOTAL_QUANTITIES
 from granflow.visible_text import html_table, numbered, readable
+
+_T = TypeVar("_T")
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:
@@ -19,9 +21,34 @@ def _read_only(values: np.ndarray) -> np.ndarray:
     return view
 
 
-def _read_only_arrays(arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+class _UnknownNameError(KeyError):
+    """KeyError whose message is a sentence."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class _Named(dict[str, _T]):
+    """Contents of one mapping of a snapshot, `kind`; an unknown name raises KeyError with the known ones."""
+
+    def __init__(self, kind: str, contents: Mapping[str, _T]) -> None:
+        super().__init__(contents)
+        self._kind = kind
+
+    def __missing__(self, name: str) -> _T:
+        remedy = f"the names are {', '.join(self)}" if self else "it is empty"
+        if self._kind == "totals" and name in ENERGY_BUDGET_QUANTITIES:
+            remedy = "set output.energy_budget to true"
+        raise _UnknownNameError(f"snapshot.{self._kind} has no {name}; {remedy}.")
+
+
+def _read_only_mapping(kind: str, contents: Mapping[str, _T]) -> Mapping[str, _T]:
+    return MappingProxyType(_Named(kind, contents))
+
+
+def _read_only_arrays(kind: str, arrays: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
     """Read-only mapping of read-only views."""
-    return MappingProxyType({name: _read_only(values) for name, values in arrays.items()})
+    return _read_only_mapping(kind, {name: _read_only(values) for name, values in arrays.items()})
 
 
 def _range(values: np.ndarray) -> str:
@@ -79,7 +106,7 @@ class Snapshot:
     impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and normal force
                 [N s] of the particles on the wall
 
-    All arrays and mappings are read-only.
+    All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
 
     >>> snapshot = gf.read_run("out/two").frames[-1]
     >>> snapshot.particles["position"].shape, snapshot.stage
@@ -96,12 +123,12 @@ class Snapshot:
     impulses: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "particles", _read_only_arrays(self.particles))
+        object.__setattr__(self, "particles", _read_only_arrays("particles", self.particles))
         if self.contacts is not None:
-            object.__setattr__(self, "contacts", _read_only_arrays(self.contacts))
-        object.__setattr__(self, "walls", MappingProxyType(dict(self.walls)))
-        object.__setattr__(self, "totals", MappingProxyType(dict(self.totals)))
-        object.__setattr__(self, "impulses", _read_only_arrays(self.impulses))
+            object.__setattr__(self, "contacts", _read_only_arrays("contacts", self.contacts))
+        object.__setattr__(self, "walls", _read_only_mapping("walls", self.walls))
+        object.__setattr__(self, "totals", _read_only_mapping("totals", self.totals))
+        object.__setattr__(self, "impulses", _read_only_arrays("impulses", self.impulses))
 
     @property
     def is_finite(self) -> bool:

@@ -1,20 +1,20 @@
-"""Fixtures of the whole session: Taichi can be initialized only once per process."""
+"""Fixtures of the whole session."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-from granflow.engine import backend
+from granflow import start
+from granflow.engine import state_cache
 
 os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
 """Cache of compiled kernels: shared by all test processes, separate from the user's cache."""
 
+state_cache.restarts_for_structures = False
 
-@pytest.fixture(scope="session")
+
+@pytest.fixture(scope="module")
 def taichi_f64():
-    """Taichi on the CPU in double precision with two threads.
-
-    Other settings require a separate process, see `subprocess_runner`.
-    """
-    backend.start("cpu", "f64", 2)
+    """Taichi on the CPU in double precision with two threads."""
+    start("cpu", "f64", 2)

@@ -192,21 +192,21 @@ MUTATIONS = (
     # Limits on the device
     Mutation(
         "overlap limit, batched",
-        "granflow/engine/force/simd_pair_force.py",
+        "granflow/engine/force/batch_collect.py",
         "check_overlap(i, square, reach, overlap_ratio * radius_min)",
         "check_overlap(i, square, reach, 4.0 * overlap_ratio * radius_min)",
         (f"{OVERLAP}[batched-pair]",),
     ),
     Mutation(
         "overlap limit, scalar",
-        "granflow/engine/force/contact_forces.py",
+        "granflow/engine/force/contact.py",
         "if overlap > max_overlap() * radius_min:",
         "if overlap > 4.0 * max_overlap() * radius_min:",
         (f"{OVERLAP}[scalar-pair]",),
     ),
     Mutation(
         "overlap over the larger radius",
-        "granflow/engine/force/contact_forces.py",
+        "granflow/engine/force/contact.py",
         "radius_min = ti.min(radius_min, particles.radius[j])",
         "radius_min = ti.max(radius_min, particles.radius[j])",
         (f"{OVERLAP}[scalar-pair]",),
@@ -242,7 +242,7 @@ MUTATIONS = (
     ),
     Mutation(
         "Mindlin stiffness",
-        "granflow/contact/law.py",
+        "granflow/contact/normal_law.py",
         "return 8.0 * constants.shear_modulus_eff",
         "return 4.0 * constants.shear_modulus_eff",
         (WALL_TIME,),

@@ -35,7 +35,7 @@ def calibrate(options: argparse.Namespace) -> int:
 
 def show_calibration(result: "CalibrationResult") -> None:
     """Print best values and targets, parameters that cannot be identified, noise, and conflicts of targets."""
-    rows = [(each.name, f"{each.value:.5g}", f"{each.deviation:.2g}") for each in result.parameters]
+    rows = [(each.name, *each.shown) for each in result.parameters]
     show_table(f"Best values, loss {result.loss:.4g}", ("", "value", "standard deviation"), rows)
     targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
     show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)

@@ -52,7 +52,7 @@ def _rank_engine(
     options: argparse.Namespace, communicator: "Communicator", scene: "Scene", plan: "Plan"
 ) -> "RankEngine":
     """The engine of a rank that is not the root."""
-    from granflow.engine.backend import start
+    from granflow.engine.state_cache import start
     from granflow.parallel.rank_engine import RankEngine
 
     return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator)

@@ -90,7 +90,7 @@ def validate(options: argparse.Namespace) -> int:
     from granflow.studies.validation.report import write_validation
 
     out = options.out or Path("out/validation")
-    cases = write_validation(out, options.quick, say_progress)
+    cases = write_validation(out, options.quick, say_progress, options.peers)
     failed = [each for each in cases if each.status == "fail"]
     for each in (each for each in cases if each.status != "pass"):
         say(f"{each.status}: {each.kind}, {each.name}: {each.value:g} instead of {each.reference:g} {each.unit}")
@@ -164,5 +164,8 @@ def add_validate(verbs: Any) -> None:
     summary = "compare published numbers and closed forms with simulations, on one page"
     parser = add_verb(verbs, validate, summary)
     few = "only the cases of two particles and the cheap ones of many: 3 minutes instead of up to 30, on two cores"
-    parser.add_argument("--quick", action="store_true", help=few)
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--quick", action="store_true", help=few)
+    both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
+    extent.add_argument("--peers", action="store_true", help=both)
     add_out(parser, "out/validation")

@@ -12,9 +12,11 @@ def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
 
     Conditions of `self`, of constants and of `ti.static` are known when it is compiled. A vectorized loop with another
     branch crashes the compiler. The global device functions that the method calls are searched, too.
+
+    Raises ValueError for a function without source.
     """
     source: Any = unwrap(function)
-    lines, first = getsourcelines(source)
+    lines, first = source_lines(source)
     definition = ast.parse(dedent("".join(lines))).body[0]
     variables = _variables(definition)
     for node in ast.walk(definition):
@@ -24,6 +26,17 @@ def run_time_branches(function: Callable[..., Any]) -> Iterator[str]:
             called = source.__globals__.get(node.func.id)
             if getattr(called, "_is_taichi_function", False):
                 yield from run_time_branches(called)
+
+
+def source_lines(function: Callable[..., Any]) -> tuple[list[str], int]:
+    """Lines of a device function, and number of the first. Raises ValueError if they are not available."""
+    try:
+        return getsourcelines(function)
+    except OSError:
+        raise ValueError(
+            f"the source of {function.__name__} is not available, which is compiled from it; define it in a file or a "
+            "notebook cell"
+        ) from None
 
 
 def _variables(definition: ast.stmt) -> set[str]:

@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
-from granflow.contact.law import CohesionLaw, Law, NormalLaw
+from granflow.contact.cohesion_law import CohesionLaw
+from granflow.contact.law import Law
+from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Option, PairOption
 from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 

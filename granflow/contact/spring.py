@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
+from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
+from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount, Choice
 from granflow.contact.power import power
 from granflow.contact.theory import MIN_VELOCITY_SHARE

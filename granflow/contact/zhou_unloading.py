@@ -91,6 +91,23 @@ def reloading_damping(contact, tangent, loading_energy):
 
 
 @ti.func
+def reloading_force(constants, contact, overlap_max, tangent):
+    """Viscous force of a contact that reloads [N], for the ratio `rest_damping`, and the part of it without loss [N].
+
+    tangent:  K [N/m], that of unloading
+
+    The loss is booked with `overlap_rate`, half a step before the force. The mean over the step is smaller by half of
+    the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
+    """
+    stiffness, rate = 4.0 / 3.0 * constants.modulus_eff, contact.overlap_rate
+    loading_energy = 0.4 * stiffness * ti.sqrt(contact.radius_eff * overlap_max) * overlap_max * overlap_max
+    damping, stiffness_number = reloading_damping(contact, tangent, loading_energy)
+    damping *= constants.rest_damping
+    late = 0.5 * damping * (contact.time_step / contact.mass_eff) + 0.25 * stiffness_number
+    return damping * rate, damping * rate * late
+
+
+@ti.func
 def unloading_energy(k, overlap_max, e, y, overlap):
     """Energy recovered by unloading from an overlap [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
     energy = 0.0 * k

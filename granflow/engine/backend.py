@@ -1,4 +1,4 @@
-"""Starts Taichi with architecture, precision and threads, once per process. No other module does."""
+"""Starts and restarts Taichi with architecture, precision and threads. No other module does."""
 
 import atexit
 import logging
@@ -6,12 +6,14 @@ import shutil
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
+from granflow.engine import foreign_fields
 from granflow.engine.compilation import guarded, in_context
-from granflow.engine.kernel_cache import TEMPORARY, usable_folder
+from granflow.engine.kernel_cache import TEMPORARY, cache_folder, usable_folder
 from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
@@ -27,9 +29,9 @@ MOST_THREADS = 1024
 """Number of threads in the key of compiled kernels; larger than any pool."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Backend:
-    """The settings that Taichi runs with.
+    """The settings that Taichi runs with; each start has its own object.
 
     arch:           architecture in use, never "gpu"
     precision:      requested precision
@@ -66,13 +68,14 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         granflow.start("cpu", precision="mixed", threads=2)
 
     threads:  CPU threads; None: as many as this process may use
-    Raises:   GranflowError if the architecture is absent or lacks float64, or if this process has started Taichi with
-              other settings (a second start would invalidate every field)
+    Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other settings and
+              `state_cache.restart` is not possible
     """
     global _started
     if _started is not None:
-        _check_unchanged(_started, arch, precision, threads)
-        return _started
+        if is_running_with(arch, precision, threads):
+            return _started
+        raise _refusal(_started, arch, precision, threads)
     ti.set_logging_level(ti.ERROR)  # Taichi would warn about each device that is absent
     name = _resolved(arch)
     if name is None:
@@ -86,15 +89,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
     workers, warning = worker_count(threads)
     if warning:
         logging.getLogger("granflow").warning("granflow: warning: %s", warning)
-    folder = usable_folder()
-    if folder.name.startswith(TEMPORARY):
-        atexit.register(_stop_and_remove, folder)
-    if KERNELS == "taichi":
-        ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
-        for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
-            module.get_traceback = _no_traceback
-    wrapped = guarded if KERNELS == "taichi" else in_context
-    ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
+    _prepare_module()
     _init(
         workers,
         arch=getattr(ti, name),
@@ -102,11 +97,50 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         fast_math=False,  # with it, F_ij and -F_ji differ in the last bit
         cfg_optimization=False,  # LLVM repeats these passes: the same rate, a third of the compile time
         log_level=ti.CRITICAL,  # errors also raise exceptions
-        offline_cache_file_path=str(folder),
+        offline_cache_file_path=str(_folder(cache_folder())),
     )
     _check_started(name)
     _started = Backend(name, precision, threads, real, position_real, workers)
     return _started
+
+
+def stop() -> None:
+    """Stop Taichi, if it runs; all fields and compiled kernels are lost. `start` numbers new fields from 0 again."""
+    global _started
+    if _started is not None:
+        ti.reset()
+        _started = None
+
+
+def running() -> Backend | None:
+    """The backend since the last `start`."""
+    return _started
+
+
+def is_used() -> bool:
+    """Whether fields have been allocated since the start, so that new ones have other numbers than the first."""
+    return bool(ti.lang.impl.get_runtime().prog.get_snode_tree_size())
+
+
+@cache
+def _folder(named: Path) -> Path:
+    """The folder of compiled kernels; in place of an unusable one, one temporary folder per process."""
+    folder = usable_folder()
+    if folder.name.startswith(TEMPORARY):
+        atexit.register(_stop_and_remove, folder)
+    return folder
+
+
+@cache
+def _prepare_module() -> None:
+    """Replace functions of the kernel language, once per process."""
+    foreign_fields.watch()
+    if KERNELS == "taichi":
+        ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
+        for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
+            module.get_traceback = _no_traceback
+    wrapped = guarded if KERNELS == "taichi" else in_context
+    ti._lib.core.Program.compile_kernel = wrapped(ti._lib.core.Program.compile_kernel)
 
 
 def _stop_and_remove(folder: Path) -> None:
@@ -185,13 +219,26 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
         )
 
 
-def _check_unchanged(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> None:
-    """Raise GranflowError if the requested settings differ from the running ones."""
-    same_arch = arch == running.arch or (arch == "gpu" and not running.on_cpu)
-    if same_arch and precision == running.precision and threads in (None, running.threads):
-        return
+def is_running_with(arch: Arch, precision: Precision, threads: int | None) -> bool:
+    """Whether Taichi runs with these settings."""
+    if _started is None:
+        return False
+    same_arch = arch == _started.arch or (arch == "gpu" and not _started.on_cpu)
+    return same_arch and precision == _started.precision and threads in (None, _started.threads)
+
+
+def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> GranflowError:
+    """The error if Taichi runs with other settings."""
     before, now = _settings(running.arch, running.precision, running.threads), _settings(arch, precision, threads)
-    raise GranflowError(f"Taichi already runs in this process on {before}; start {now} in a separate process.")
+    if foreign_fields.found():
+        return GranflowError(
+            f"Taichi runs in this process on {before}, and a restart would destroy the fields that your program has "
+            f"made with Taichi; start {now} in a separate process."
+        )
+    return GranflowError(
+        f"A simulation in this process uses {before}: end it by simulation.free() before one on {now}, or start that "
+        "in a separate process."
+    )
 
 
 def _settings(arch: str, precision: Precision, threads: int | None) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.engine.host_copy import FieldTable, consecutive
+from granflow.engine.host_copy import FieldTable, consecutive, list_table
 from granflow.engine.neighbor.contact_history_entry import IN_CONTACT
 from granflow.engine.neighbor.history_transfer import vector_components
 from granflow.engine.state import State
@@ -123,7 +123,7 @@ class HistoryTable:
     def _touching(self) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Index of the owner and the partner (m,) of each list entry in contact, and the histories."""
         state = self._state
-        ranges = state.built(_list_table).take(slice(0, state.count))
+        ranges = state.built(list_table).take(slice(0, state.count))
         begin, length = ranges["begin"].astype(np.int64), ranges["end"] - ranges["begin"]
         list_index = consecutive(begin, length)
         touches = np.flatnonzero(state.built(_state_table).take(list_index)["in_contact"] == IN_CONTACT)
@@ -143,7 +143,7 @@ class HistoryTable:
         in_segment = before - before[segment * state.plan.chunk_size]
         begin = segment * state.capacities.list_entries_per_segment + in_segment
         ranges = {"begin": begin, "end": begin + histories.count}
-        state.built(_list_table).put(np.arange(len(ids)), ranges)
+        state.built(list_table).put(np.arange(len(ids)), ranges)
         if not state.neighbors.history:
             return
         entry = begin[owner] + np.arange(len(owner)) - before[owner]
@@ -188,11 +188,6 @@ def _state_table(state: State) -> FieldTable:
 def _contact_table(state: State) -> FieldTable:
     """Table of the partners and histories of all list entries."""
     return FieldTable({"partner": state.neighbors.partner, **state.neighbors.history})
-
-
-def _list_table(state: State) -> FieldTable:
-    """Table of the ranges of all neighbor lists."""
-    return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
 
 
 def _entry_table(state: State) -> FieldTable:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.backend import Backend
+from granflow.engine.foreign_fields import new_builder
 from granflow.engine.host_fields import HostBlock, host_block
 from granflow.kernel_language import ti
 from granflow.plan.device_arrays import DeviceArray
@@ -16,7 +17,7 @@ class FieldBlock:
     """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
 
     def __init__(self, backend: Backend) -> None:
-        self._builder = ti.FieldsBuilder()
+        self._builder = new_builder()
         self._on_cpu = backend.on_cpu
         self._tree: Any = None
         self._host: HostBlock | None = None

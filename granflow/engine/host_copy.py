@@ -147,6 +147,11 @@ def saved_particle_table(state: State) -> FieldTable:
     return state.built(particle_table, tuple(saved_arrays(particle_arrays(state.plan))))
 
 
+def list_table(state: State) -> FieldTable:
+    """Table of the ranges of all neighbor lists."""
+    return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
+
+
 def copy_to_host(
     state: State, names: tuple[str, ...], first: int = 0, last: int | None = None
 ) -> dict[str, np.ndarray]:

@@ -42,15 +42,10 @@ def build_integrate(state: State) -> Any:
     wrap = build_wrap(state) if periodic else None
     add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-
-    carry_impulses = build_carry_impulses(state)
-    weight_rest, above_limit, real = build_weight_rest(state), _build_above_limit(state), state.backend.real
+    carry_impulses, weight_rest, real = build_carry_impulses(state), build_weight_rest(state), state.backend.real
+    above_limit, leaves_reach = _build_above_limit(state), _build_leaves_reach(state)
+    request_abort = _build_request_abort(state)
     gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
-
-    @ti.func
-    def request_abort(code, i):
-        ti.atomic_max(control.abort[0], code)
-        ti.atomic_min(control.abort_particle[0], particles.id[i])
 
     @ti.func
     def integrate(chunk, count, pose, dt):
@@ -80,13 +75,8 @@ def build_integrate(state: State) -> Any:
                 request_abort(ABORT_FORCE, i)
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
-            displacement = position - particles.position_at_rebuild[i]
-            displacement_squared = displacement.dot(displacement)
-            reach_squared = particles.reach[i] * particles.reach[i]
-            if displacement_squared > reach_squared:
+            if leaves_reach(i, position) == 1:
                 rebuild = 1
-            elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
-                request_abort(ABORT_NOT_FINITE, i)
             if ti.static(periodic):
                 wrap(chunk, i, pose, dt)
             # Above this limit a particle could pass another one, or a wall, between two force evaluations.
@@ -96,6 +86,45 @@ def build_integrate(state: State) -> Any:
             control.rebuild_requested[0] = 1
 
     return integrate
+
+
+def _build_request_abort(state: State) -> Any:
+    """Device function (code, i): request an abort because of particle i.
+
+    Writes:  abort, abort_particle
+    """
+    particles, control = state.particles, state.control
+
+    @ti.func
+    def request_abort(code, i):
+        ti.atomic_max(control.abort[0], code)
+        ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    return request_abort
+
+
+def _build_leaves_reach(state: State) -> Any:
+    """Device function (i, position): 1 if a particle has moved by more than its reach since the last rebuild.
+
+    Requests an abort if the position is not finite.
+
+    Reads:   position_at_rebuild, reach
+    Writes:  abort, abort_particle
+    """
+    particles, request_abort = state.particles, _build_request_abort(state)
+
+    @ti.func
+    def leaves_reach(i, position):
+        displacement, leaves = position - particles.position_at_rebuild[i], 0
+        displacement_squared = displacement.dot(displacement)
+        reach_squared = particles.reach[i] * particles.reach[i]
+        if displacement_squared > reach_squared:
+            leaves = 1
+        elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
+            request_abort(ABORT_NOT_FINITE, i)
+        return leaves
+
+    return leaves_reach
 
 
 def _build_above_limit(state: State) -> Any:

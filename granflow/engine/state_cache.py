@@ -1,14 +1,18 @@
 """Device data of ended simulations, kept with their kernels for later simulations of equal structure in this process.
 
-Taichi numbers its fields consecutively over the whole process, and the key of a kernel in the cache on disk contains
-these numbers. New fields therefore need new kernels, also if they equal earlier ones.
+Taichi numbers its fields consecutively from its start, and the key of a kernel in the cache on disk contains these
+numbers. Fields that are added to others therefore need new kernels, also if they equal earlier ones. If no simulation
+is in use, Taichi is restarted instead (about 0.1 s): each structure is compiled once per machine, and architecture,
+precision and threads can change.
 """
 
 import gc
 import weakref
 from collections.abc import Hashable
 
-from granflow.engine.backend import Backend
+from granflow.engine import backend as taichi
+from granflow.engine import foreign_fields
+from granflow.engine.backend import Arch, Backend, Precision
 from granflow.engine.state import State
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
@@ -20,8 +24,25 @@ MOST_STATES = 4
 MOST_BYTES = 250_000_000
 """Device memory [bytes] of all kept states; a larger state is freed at its end."""
 
+restarts_for_structures = True
+"""Whether Taichi is restarted for a new structure. The tests, which alternate between few structures, keep states."""
+
 _kept: list[State] = []
 _in_use: "weakref.WeakSet[State]" = weakref.WeakSet()
+
+
+def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
+    """Start Taichi, or restart it if it runs with other settings and no simulation is in use.
+
+        granflow.start("cpu", precision="mixed", threads=2)
+
+    threads:  CPU threads; None: as many as this process may use
+    Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other settings and a
+              simulation, or a field of the program itself, is in use
+    """
+    if taichi.running() is not None and not taichi.is_running_with(arch, precision, threads) and _is_unused():
+        _stop()
+    return taichi.start(arch, precision, threads)
 
 
 def take_state(plan: Plan, backend: Backend) -> State:
@@ -34,8 +55,7 @@ def take_state(plan: Plan, backend: Backend) -> State:
         gc.collect()
     found = next(iter(_matches(structure, plan, _kept)), None)
     if found is None:
-        _free_excess()
-        found = State(plan, backend)
+        found = State(plan, _fresh(backend))
     else:
         _kept.remove(found)
         found.reset(plan)
@@ -47,6 +67,31 @@ def return_state(state: State) -> None:
     """Keep a state for a later simulation. Garbage collection may call it, so that it frees nothing."""
     _in_use.discard(state)
     _kept.append(state)
+
+
+def _fresh(backend: Backend) -> Backend:
+    """The backend, restarted if it has been used and nothing of it is in use."""
+    if not taichi.is_used() or backend is not taichi.running():
+        return backend
+    if not (restarts_for_structures and _is_unused()):
+        _free_excess()
+        return backend
+    _stop()
+    return taichi.start(backend.arch, backend.precision, backend.threads)  # type: ignore[arg-type]
+
+
+def _is_unused() -> bool:
+    """Whether neither a simulation nor a field of the program itself is in use."""
+    if _in_use:
+        gc.collect()
+    return not _in_use and not foreign_fields.found()
+
+
+def _stop() -> None:
+    """Free the kept states and stop Taichi."""
+    while _kept:
+        _kept.pop().free()
+    taichi.stop()
 
 
 def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.WeakSet[State]") -> list[State]:

@@ -16,21 +16,35 @@ from granflow.plan.structure import structure_of
 def with_plan(engine: Engine, plan: Plan) -> Engine:
     """An engine that continues with another plan: the same one if its kernels and capacities suffice.
 
-    plan:  equal to that of the engine in time step, chunk size, materials and contact laws
+    plan:  equal to that of the engine in time step, chunk size, materials and contact laws; its walls are those of the
+           engine, changed, and others behind them
 
     Otherwise the given engine is freed, and kernels are compiled as necessary. The run continues with the same bits.
     """
     same_size = plan.particle_capacity == engine.plan.particle_capacity
-    if same_size and structure_of(plan) == structure_of(engine.plan):
+    same_walls = len(plan.walls) == len(engine.plan.walls)
+    if same_size and same_walls and structure_of(plan) == structure_of(engine.plan):
         engine.plan = engine.state.plan = engine.stability_monitor.plan = plan
         return engine
     refuse_changes(engine)
     saved, motions, backend = saved_state(engine), engine.state.wall_motions, engine.state.backend
+    saved["contacts"]["partner"] = renumbered(saved["contacts"]["partner"], engine.plan, plan)
+    saved["walls_present"] += [False] * (len(plan.walls) - len(engine.plan.walls))
+    motions = (*motions, *((),) * (len(plan.walls) - len(motions)))
     engine.free()
     moved = Engine(plan, backend)
     restore_state(moved, _fitted(saved, plan), motions)
     moved.take_over(engine)
     return moved
+
+
+def renumbered(partner: np.ndarray, before: Plan, now: Plan) -> np.ndarray:
+    """Numbers of contact partners (m,) in another plan, whose walls are those of the plan `before` and others.
+
+    Walls w have the number -1 - w, triangles follow the walls: -1 - (number of walls) - t. Particles are at least 0.
+    """
+    first_triangle = -1 - len(before.walls)
+    return np.where(partner <= first_triangle, partner - (len(now.walls) - len(before.walls)), partner)
 
 
 def refuse_changes(engine: Engine) -> None:

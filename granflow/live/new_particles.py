@@ -1,6 +1,7 @@
 """Particles that are added from Python: arguments to arrays."""
 
 from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,19 @@ from granflow.particles.particle_data import ParticleData
 from granflow.plan.plan import Plan
 from granflow.plan.scene_parts import PlannedGroup
 from granflow.scene.checks.pairs import pair_name, possible_contacts
+from granflow.scene.suggest import suggestion_sentence
+
+ARGUMENTS = ("position", "diameter", "material", "velocity", "group", "angular_velocity")
+"""Arguments of `LiveParticles.add`."""
+
+
+def refuse_other_arguments(given: Iterable[str]) -> None:
+    """Raise GranflowError for the first of these arguments, which `LiveParticles.add` does not have."""
+    for name in given:
+        remedy = "Give diameter, twice the radius."
+        if name != "radius":
+            remedy = suggestion_sentence(name, ARGUMENTS, "arguments")
+        raise GranflowError(f"particles.add has no argument {name}. {remedy}")
 
 
 def particle_data(

@@ -46,9 +46,12 @@ class ParticleArray(NDArrayOperatorsMixin):
         try:
             changed[index] = np.asarray(values)
         except (ValueError, IndexError, TypeError) as error:
+            shape, selected = np.shape(values), _shape(present, index)
+            if selected is None or shape in ((), selected):
+                raise GranflowError(f"particles.{self._name}, of the shape {present.shape}: {error}.") from None
+            remedy = f"; give the transpose of the values, of the shape {selected}" if shape == selected[::-1] else ""
             raise GranflowError(
-                f"particles.{self._name} has the shape {present.shape} and cannot be written with these indices and "
-                f"values of the shape {np.shape(values)}: {error}."
+                f"particles.{self._name}: values of the shape {shape} are given for {selected}{remedy}."
             ) from None
         self._write(changed)
 
@@ -85,3 +88,11 @@ class ParticleArray(NDArrayOperatorsMixin):
 
     def __repr__(self) -> str:
         return f"particles.{self._name}: {self._read()!r}"
+
+
+def _shape(values: np.ndarray, index: Any) -> tuple[int, ...] | None:
+    """Shape of the indexed part of an array; None for an index that does not exist."""
+    try:
+        return np.shape(values[index])
+    except (IndexError, TypeError):
+        return None

@@ -10,7 +10,7 @@ import numpy as np
 from granflow.engine.changes import present_indices, remove_particles, write_particles
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
-from granflow.live.new_particles import particle_data, refuse_without_pair
+from granflow.live.new_particles import particle_data, refuse_other_arguments, refuse_without_pair
 from granflow.live.particle_array import ParticleArray
 from granflow.live.values import finite, in_domain, named
 from granflow.runs.run_state import RunState
@@ -145,6 +145,7 @@ class LiveParticles:
         velocity: Any = (0.0, 0.0, 0.0),
         group: str | None = None,
         angular_velocity: Any = (0.0, 0.0, 0.0),
+        **others: Any,
     ) -> np.ndarray:
         """Add k particles and return their ids (k,).
 
@@ -158,6 +159,7 @@ class LiveParticles:
 
         If there is no space for them, the arrays grow to twice their size, which may compile the kernels again.
         """
+        refuse_other_arguments(others)
         engine = self._engine
         new = particle_data(self._state.plan, position, diameter, material, velocity, group, angular_velocity)
         refuse_without_pair(self._state.plan, self._counts_with(new.group))

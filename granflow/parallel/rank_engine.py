@@ -55,6 +55,11 @@ class RankEngine(Engine):
             gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
             communicator.barrier()
 
+    def free(self) -> None:
+        """As `Engine`; the objects of the process are searched for cycles again."""
+        super().free()
+        gc.unfreeze()
+
     insert = _on_all_ranks("insert")
     set_walls = _on_all_ranks("set_walls")
     set_stage = _on_all_ranks("set_stage")

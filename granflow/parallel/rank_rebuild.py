@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.engine.contact_histories import WITHOUT_HISTORY, HistoryTable
-from granflow.engine.engine import DELETED_FIELDS
+from granflow.engine.deleted_particles import DELETED_FIELDS
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles, at_present, joined_arrays
 from granflow.engine.limits import ABORT_FAR

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from granflow.contact.law import NormalLaw
+from granflow.contact.normal_law import NormalLaw
 from granflow.plan.time_step import PairCase, choose_time_step
 
 STEPS_BETWEEN_UPDATES = 128

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.law import NormalLaw
+from granflow.contact.normal_law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.load import Scene
@@ -43,6 +43,7 @@ from granflow.plan.travel import (
 )
 from granflow.plan.wall_control import controlled_motions_of
 from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
+from granflow.scene.schema.run import Numerics
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
@@ -105,7 +106,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         particle_capacity=particle_count,
         radius_min=radius_min,
         radius_max=radius_max,
-        chunk_size=_chunk_size(scene, particle_count) if law.branch_free and not on_gpu else 1,
+        chunk_size=_chunk_size(scene.numerics, particle_count) if law.branch_free and not on_gpu else 1,
         skin=skin,
         step=step,
         impact_velocity=impact_velocity,
@@ -115,7 +116,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         controlled_motions=controlled_motions,
         forecasts=tuple(forecasts_of(scene, laws, impact_velocity, walls, controlled_motions)),
         adaptive_time_step=_adaptive_time_step(
-            scene, pair_cases, law, velocity, max(speed, image_speed(scene), adhesion)
+            scene.numerics, pair_cases, law, velocity, max(speed, image_speed(scene.domain), adhesion)
         )
         if features.adaptive_step
         else None,
@@ -154,12 +155,12 @@ def _as_given(scene: Scene) -> dict[str, Any]:
         "gravity": scene.gravity,
         "max_overlap": scene.numerics.max_overlap,
         "stages": planned_stages(scene),
-        "damping": planned_damping(scene),
+        "damping": planned_damping(scene.damping),
         "groups": planned_groups(scene),
-        "size_classes": size_classes(scene),
-        "solids": {name: solid(scene, name) for name in scene.materials},
+        "size_classes": size_classes(scene.particles),
+        "solids": {name: solid(scene.materials, name) for name in scene.materials},
         "measured_walls": scene.measured_walls,
-        "outlets": planned_outlets(scene),
+        "outlets": planned_outlets(scene.outlets),
     }
 
 
@@ -174,8 +175,8 @@ def _sources(scene: Scene) -> dict[str, str]:
 def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
     """Raise SceneError for velocities [m/s] at which contacts can be missed from the start, and for a fast decay."""
     refuse_unresolved_drag(scene, plan.longest_time_step)
-    refuse_fast_start(scene, initial_speeds(scene), plan.time_step, plan.radius_min)
-    refuse_fast_rotation(scene, initial_rotation_rates(scene), plan.time_step)
+    refuse_fast_start(scene, initial_speeds(scene.particles), plan.time_step, plan.radius_min)
+    refuse_fast_rotation(scene, initial_rotation_rates(scene.particles), plan.time_step)
     step, skin = plan.longest_time_step, f"of the skin {plan.skin:.3g} m"
     limit, displacement = plan.wall_travel_limit, plan.wall_displacement_limit
     travel, share = share_of(limit, plan.radius_min), f"{displacement / plan.skin:.2g} {skin}"
@@ -213,17 +214,17 @@ def _time_step(
 
 
 def _adaptive_time_step(
-    scene: Scene, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, speed: float
+    numerics: Numerics, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, speed: float
 ) -> AdaptiveTimeStep:
     """Table of the adaptive time step; `velocity`: maximum impact velocity, `speed`: of walls and images [m/s]."""
-    bounds = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
+    bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
     return adaptive_time_step_for(pair_cases, law, velocity, speed, *bounds)
 
 
-def _chunk_size(scene: Scene, particle_count: int) -> int:
+def _chunk_size(numerics: Numerics, particle_count: int) -> int:
     """Particles per chunk, a power of two. It depends on the scene only, because sums are computed chunk by chunk."""
-    if scene.numerics.chunk_size != "auto":
-        return int(scene.numerics.chunk_size)
+    if numerics.chunk_size != "auto":
+        return int(numerics.chunk_size)
     if particle_count <= SMALL_SCENE_PARTICLES:
         return 1
     min_size, max_size = CHUNK_BOUNDS

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from granflow.errors import SceneError
 from granflow.load import Scene
+from granflow.scene.schema.damping import Damping
 
 RESOLVED_DECAY = 0.2
 """Largest product of drag rate and time step g dt: the decay rate of the scheme is wrong by (g dt)^2 / 12 = 0.3 %."""
@@ -23,9 +24,9 @@ class PlannedDamping:
         return (self.cundall, self.drag) if acts else (0.0, 0.0)
 
 
-def planned_damping(scene: Scene) -> PlannedDamping | None:
+def planned_damping(damping: Damping | None) -> PlannedDamping | None:
     """The damping of the scene; None without."""
-    damping = scene.damping
+    damping = damping
     return None if damping is None else PlannedDamping(damping.cundall or 0.0, damping.drag or 0.0, damping.stages)
 
 

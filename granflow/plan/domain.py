@@ -62,7 +62,7 @@ def refuse_infinite_rotations(scene: Scene, walls: Sequence[PlannedWall]) -> Non
     """Raise SceneError for an unbounded rotating wall in an expanding domain: its velocity has no upper bound."""
     if scene.domain.on_exit != "expand":
         return
-    times = always(scene)
+    times = always(scene.schedule)
     for wall in walls:
         rotation = single_rotation([each.at(times) for each in wall.motions])
         if rotation and isinf(reach_about(wall.shape, np.array(rotation.point), np.array(rotation.axis), inf)):

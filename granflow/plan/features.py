@@ -9,6 +9,7 @@ from granflow.contact.options import FRICTION
 from granflow.load import Scene
 from granflow.plan.size_classes import CLASSES_FROM_RATIO, diameter_range, size_classes
 from granflow.plan.walls import has_belt, is_force_controlled
+from granflow.scene.schema.damping import Damping
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
     that forces depend on synchronized velocities. Rotation is on only with friction, rolling or twisting friction:
     otherwise no torque exists.
     """
-    classes = size_classes(scene)
+    classes = size_classes(scene.particles)
     return Features(
         friction="tangential" in models,
         rolling=_name(models, "rolling"),
@@ -88,7 +89,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         fixed_particles=any(group.fixed for group in scene.particles.values()),
         outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
-        damping=" and ".join(_damping_kinds(scene)) or "none",
+        damping=" and ".join(_damping_kinds(scene.damping)) or "none",
     )
 
 
@@ -251,15 +252,15 @@ def _sizes_reason(scene: Scene) -> str:
     return f"the largest diameter is {ratio:.3g} times the smallest ({scene.where('particles')})"
 
 
-def _damping_kinds(scene: Scene) -> list[str]:
-    return [kind for kind in ("cundall", "drag") if getattr(scene.damping, kind, None) is not None]
+def _damping_kinds(damping: Damping | None) -> list[str]:
+    return [kind for kind in ("cundall", "drag") if getattr(damping, kind, None) is not None]
 
 
 def _damping_reason(scene: Scene) -> str:
     """Numbers of the damping and its stages."""
     if scene.damping is None:
         return "the scene has no damping"
-    numbers = [f"damping.{kind} is {getattr(scene.damping, kind):g}" for kind in _damping_kinds(scene)]
+    numbers = [f"damping.{kind} is {getattr(scene.damping, kind):g}" for kind in _damping_kinds(scene.damping)]
     stages = "in all stages" if scene.damping.stages is None else f"in {', '.join(scene.damping.stages)}"
     return f"{' and '.join(numbers)} {stages} ({scene.where('damping')})"
 

@@ -1,5 +1,6 @@
 """Maximum impact velocity of the plan: given in the scene, or estimated from free fall and prescribed motions."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 from granflow.load import Scene
 from granflow.particles.thermal import largest_speed
 from granflow.plan.walls import surface_speed
+from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.particles import Group
 
@@ -33,11 +35,12 @@ def max_impact_velocity(scene: Scene) -> ImpactVelocity:
     """
     if scene.run.velocity_max is not None:
         return ImpactVelocity(scene.run.velocity_max, f"run.velocity_max ({scene.where('run', 'velocity_max')})")
-    fall, initial, surface = free_fall(scene), initial_speed(scene), max(surface_speed(scene), image_speed(scene))
+    fall, initial = free_fall(scene), initial_speed(scene)
+    surface = max(surface_speed(scene), image_speed(scene.domain))
     if not max(fall, initial, surface) > 0.0:
         return ImpactVelocity(DEFAULT_SPEED, "assumed: no initial motion and no gravity")
     speed, source = fall, f"free fall through the domain ({fall:.3g} m/s)"
-    opposing_name = "the fastest wall" if not image_speed(scene) else "the image across the sheared boundary"
+    opposing_name = "the fastest wall" if not image_speed(scene.domain) else "the image across the sheared boundary"
     opposing, opposing_source = surface, f"{opposing_name} ({surface:.3g} m/s)"
     if initial > fall:
         speed, source = initial, f"the fastest particle at the start ({initial:.3g} m/s)"
@@ -56,36 +59,36 @@ def free_fall(scene: Scene) -> float:
     return float(np.sqrt(2.0 * np.abs(scene.gravity) @ size))
 
 
-def image_speed(scene: Scene) -> float:
+def image_speed(domain: Domain) -> float:
     """Velocity [m/s] of the images across a sheared boundary: shear rate times box width.
 
     0 without Lees-Edwards shear.
     """
-    image_motion = scene.domain.periodic_box().image_motion
+    image_motion = domain.periodic_box().image_motion
     return 0.0 if image_motion is None else abs(image_motion.speed)
 
 
 def initial_speed(scene: Scene) -> float:
     """Largest initial speed [m/s] of all particles, 0 without groups."""
-    return max(initial_speeds(scene).values(), default=0.0)
+    return max(initial_speeds(scene.particles).values(), default=0.0)
 
 
-def initial_speeds(scene: Scene) -> dict[str, float]:
+def initial_speeds(particles: Mapping[str, Group]) -> dict[str, float]:
     """Largest initial speed [m/s] of each group, by name, from the scene or from the file with its particles.
 
     Random velocities count with `particles.thermal.largest_speed`.
     """
     return {
         name: max(_largest_norm(group.velocity) + _random_speed(group), _in_file(group, "speed_max"))
-        for name, group in scene.particles.items()
+        for name, group in particles.items()
     }
 
 
-def initial_rotation_rates(scene: Scene) -> dict[str, float]:
+def initial_rotation_rates(particles: Mapping[str, Group]) -> dict[str, float]:
     """Largest initial angular velocity [rad/s] of each group, by name, from the scene or from its particle file."""
     return {
         name: max(_largest_norm(group.angular_velocity), _in_file(group, "angular_velocity_max"))
-        for name, group in scene.particles.items()
+        for name, group in particles.items()
     }
 
 

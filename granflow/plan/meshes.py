@@ -15,6 +15,7 @@ from granflow.geometry.shape import unit
 from granflow.io.regular_files import FormatError, path_below
 from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
+from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.quantities import Vector3
 from granflow.scene.schema.walls import MeshWall, Wall
 
@@ -100,7 +101,7 @@ def _mesh_once(
 
 def _refuse_size(scene: Scene, wall: MeshWall, mesh: Mesh) -> None:
     """Raise FormatError for a mesh that is much larger than the domain or much smaller than the smallest particle."""
-    share = _size(mesh) / _domain_size(scene)
+    share = _size(mesh) / _domain_size(scene.domain)
     smallest = min(diameter_range(group)[0] for group in scene.particles.values())
     if _size(mesh) < FAR_TOO_SMALL * smallest:
         share = _size(mesh) / smallest
@@ -120,9 +121,9 @@ def _size(mesh: Mesh) -> float:
     return float(np.linalg.norm(mesh.size))
 
 
-def _domain_size(scene: Scene) -> float:
+def _domain_size(domain: Domain) -> float:
     """Diagonal [m] of the domain."""
-    return float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
+    return float(np.linalg.norm(np.subtract(domain.max, domain.min)))
 
 
 def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[MeshNote]:
@@ -154,7 +155,7 @@ def notes_on(scene: Scene, name: str, mesh: Mesh, smallest: float) -> Iterator[M
 def _suspicion(scene: Scene, name: str, mesh: Mesh, smallest: float) -> str | None:
     """A sentence on a probable mistake, or None."""
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    size, share = _size(mesh), _size(mesh) / _domain_size(scene)
+    size, share = _size(mesh), _size(mesh) / _domain_size(scene.domain)
     if share > WARNED_SIZE_RATIO:
         return f"{size:.3g} m large, {share:.3g} times the domain: {_remedy(scene.walls[name])}"
     if np.any(low > scene.domain.max) or np.any(high < scene.domain.min):

@@ -9,6 +9,7 @@ from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.load import Scene
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema.motions import Rotation, Vibration
+from granflow.scene.schema.quantities import Vector3
 
 STEPS_PER_PERIOD = 10
 """Minimum number of time steps per period. With fewer, the wall velocities do not represent the motion (aliasing)."""
@@ -31,7 +32,7 @@ def refuse_fast_motion(scene: Scene, walls: Sequence[PlannedWall], time_step: fl
                     f"{shortest:.3g} s apart, less than the time step of {time_step:.3g} s. Give fewer rows, or set "
                     f"run.time_step to {shortest:.2g} s or less."
                 )
-            period = _period(motion, scene) if isinstance(motion, Vibration | Rotation) else math.inf
+            period = _period(motion, scene.gravity) if isinstance(motion, Vibration | Rotation) else math.inf
             if STEPS_PER_PERIOD * time_step > period * (1.0 + 1e-9):
                 key = f"walls.{name}.motion.{index}"
                 problems.append(
@@ -48,11 +49,11 @@ def _shortest_row(motion: Motion) -> float:
     return motion.table.shortest_step if isinstance(motion, TableTranslation | TableRotation) else math.inf
 
 
-def _period(motion: Vibration | Rotation, scene: Scene) -> float:
+def _period(motion: Vibration | Rotation, gravity: Vector3) -> float:
     """Period 2 pi / w [s] of a vibration or rotation; infinite without motion (w = 0 or amplitude 0)."""
     if isinstance(motion, Rotation):
         rate = max(abs(motion.angular_velocity), abs(motion.initial_angular_velocity or 0.0))
     else:
-        amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
+        amplitude, rate = motion.amplitude_and_angular_frequency(gravity)
         rate = rate if amplitude else 0.0
     return 2.0 * math.pi / rate if rate else math.inf

@@ -1,14 +1,13 @@
 """Outlets in numeric form, and the depth of points in an outlet (numpy); the device only tests inside or outside."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Literal
 
 import numpy as np
 
-from granflow.load import Scene
-from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet
+from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, Outlet
 
 
 @dataclass(frozen=True)
@@ -43,19 +42,19 @@ class PlannedOutlet:
         return np.asarray(np.minimum(along, self.radius - across))
 
 
-def planned_outlets(scene: Scene) -> tuple[PlannedOutlet, ...]:
+def planned_outlets(outlets: Mapping[str, Outlet]) -> tuple[PlannedOutlet, ...]:
     """All outlets of a scene, in its order, with normals of unit length."""
-    outlets = []
-    for name, outlet in scene.outlets.items():
+    planned = []
+    for name, outlet in outlets.items():
         if isinstance(outlet, BoxOutlet):
             low, high = np.array(outlet.box.min), np.array(outlet.box.max)
-            outlets.append(PlannedOutlet(name, low, high, low, np.zeros(3), inf))
+            planned.append(PlannedOutlet(name, low, high, low, np.zeros(3), inf))
         elif isinstance(outlet, DiscOutlet):
             disc = outlet.disc
-            outlets.append(_behind_plane(name, disc.center, disc.normal, disc.radius))
+            planned.append(_behind_plane(name, disc.center, disc.normal, disc.radius))
         else:
-            outlets.append(_behind_plane(name, outlet.half_space.point, outlet.half_space.normal, inf))
-    return tuple(outlets)
+            planned.append(_behind_plane(name, outlet.half_space.point, outlet.half_space.normal, inf))
+    return tuple(planned)
 
 
 def _behind_plane(name: str, point: Sequence[float], normal: Sequence[float], radius: float) -> PlannedOutlet:

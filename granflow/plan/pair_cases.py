@@ -1,6 +1,6 @@
 """Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the time step."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from granflow.errors import SceneError
 from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 from granflow.plan.time_step import PairCase
-from granflow.scene.schema.materials import MaterialPair, RestitutionFit
+from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
 from granflow.scene.schema.particles import Group
 from granflow.visible_text import alternatives
 
@@ -91,12 +91,12 @@ def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
     return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
 
 
-def solid(scene: Scene, material: str) -> Solid:
+def solid(materials: Mapping[str, Material], material: str) -> Solid:
     """Constants of one material of the scene.
 
     Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio. Raises KeyError for an unknown material.
     """
-    given = scene.materials[material]
+    given = materials[material]
     return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
 
 
@@ -106,7 +106,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
     Raises KeyError if the scene has no such pair.
     """
-    pair, a, b = scene.pair(first, second), solid(scene, first), solid(scene, second)
+    pair, a, b = scene.pair(first, second), solid(scene.materials, first), solid(scene.materials, second)
     given = pair.restitution
     restitution: float | VelocityRestitution | None
     if isinstance(given, RestitutionFit):
@@ -184,7 +184,7 @@ def pair_cases_of(scene: Scene) -> list[PairCase]:
             pair_cases.append(replace(_pair_case(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
     if not pair_cases:
         name, group = groups[0]
-        material_solid = solid(scene, group.material)
+        material_solid = solid(scene.materials, group.material)
         elastic_pair = PairMaterial(
             modulus_eff(material_solid, material_solid), shear_modulus_eff(material_solid, material_solid), 1.0, 0.0
         )
@@ -196,7 +196,7 @@ def pair_cases_of(scene: Scene) -> list[PairCase]:
 def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
     smallest, largest = (0.5 * diameter for diameter in diameter_range(group))
-    material_solid = solid(scene, group.material)
+    material_solid = solid(scene.materials, group.material)
     mass = _sphere_mass(smallest, material_solid.density)
     if other is None:
         return PairCase(name, pair, smallest, mass, smallest, largest, material_solid)
@@ -205,7 +205,7 @@ def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other:
     if other.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
         return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid)
-    other_mass = _sphere_mass(other_smallest, solid(scene, other.material).density)
+    other_mass = _sphere_mass(other_smallest, solid(scene.materials, other.material).density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
     return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid)

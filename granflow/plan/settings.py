@@ -25,7 +25,6 @@ class OptionalSetting:
     key: str
     value: str
     origin: str
-    is_default: bool
 
 
 def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
@@ -48,7 +47,7 @@ def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[Optiona
             text = as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
             given = scene.is_given(*key)
             origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
-            yield OptionalSetting(".".join(map(str, key)), text, origin, not given)
+            yield OptionalSetting(".".join(map(str, key)), text, origin)
 
 
 def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[OptionalSetting]:

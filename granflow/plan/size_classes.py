@@ -1,6 +1,7 @@
 """Range of particle sizes before sampling, and size classes with separate cell grids."""
 
-from granflow.load import Scene
+from collections.abc import Mapping
+
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.particles import Group
 from granflow.scene.schema.sizes import ClassSizes
@@ -21,13 +22,13 @@ def diameter_range(group: Group) -> Span:
     return spans[0][0], spans[-1][1]
 
 
-def size_classes(scene: Scene) -> tuple[float, ...]:
+def size_classes(particles: Mapping[str, Group]) -> tuple[float, ...]:
     """Largest radius [m] of each size class, in ascending order; a single class if all sizes are similar.
 
     Similar: the largest is less than CLASSES_FROM_RATIO times the smallest. Within a class, the ratio is at most
     CLASS_WIDTH. A class begins with the smallest radius that no class contains yet, so that no class is empty.
     """
-    spans = sorted((0.5 * low, 0.5 * high) for group in scene.particles.values() for low, high in _diameters(group))
+    spans = sorted((0.5 * low, 0.5 * high) for group in particles.values() for low, high in _diameters(group))
     smallest, largest = spans[0][0], max(high for _, high in spans)
     if largest < CLASSES_FROM_RATIO * smallest:
         return (largest,)

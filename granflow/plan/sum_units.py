@@ -19,7 +19,7 @@ from math import ceil, log2
 
 import numpy as np
 
-from granflow.contact.law import NormalLaw
+from granflow.contact.normal_law import NormalLaw
 from granflow.plan.time_step import PairCase
 
 FORCE_BITS, ENERGY_BITS, IMPULSE_BITS, WALL_BITS = 45, 70, 53, 43

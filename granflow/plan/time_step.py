@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
+from granflow.contact.normal_law import NormalLaw
 from granflow.plan.travel import STEP_SHARE
 
 MAX_CONTACTS = 12

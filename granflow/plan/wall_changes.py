@@ -27,8 +27,10 @@ def with_motions(
     wall = wall_named(plan, name)
     if any(controlled.name == name for controlled in plan.controlled_motions):
         raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
-    if sum(isinstance(each, motion.Rotation) for each in motions) > 1:
-        raise GranflowError(f"walls[{name!r}].motion has two rotations, but a wall can have at most one.")
+    try:
+        motion.single_rotation(motions)
+    except ValueError:
+        raise GranflowError(f"walls[{name!r}].motion has two rotations, but a wall can have at most one.") from None
     placed = (motion.placement_at(present, time), *motions)
     return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
 

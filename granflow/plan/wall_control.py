@@ -7,13 +7,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from granflow.contact.law import NormalLaw
+from granflow.contact.normal_law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.catalog import area_of
 from granflow.geometry.shape import unit
 from granflow.load import Scene
 from granflow.plan.time_step import PairCase
 from granflow.plan.walls import PlannedWall
+from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.motions import FreeWall, Servo
 
 GAIN_SHARE = 0.2
@@ -155,14 +156,14 @@ def _stiffness(
     """
     single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
-    area = area_of(wall.shape) or section(scene, _unit(given))
+    area = area_of(wall.shape) or section(scene.domain, _unit(given))
     particle_count = sum(group.count for group in scene.particles.values())
     return single, single * max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0)
 
 
-def section(scene: Scene, direction: Sequence[float] | np.ndarray) -> float:
+def section(domain: Domain, direction: Sequence[float] | np.ndarray) -> float:
     """Projected area [m2] of the domain along a direction (3,), unit vector."""
-    size = np.subtract(scene.domain.max, scene.domain.min)
+    size = np.subtract(domain.max, domain.min)
     return float(np.abs(direction) @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]])
 
 

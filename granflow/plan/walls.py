@@ -15,6 +15,7 @@ from granflow.geometry.shared_edges import join_shared_edges
 from granflow.load import Scene
 from granflow.plan.meshes import meshes_of
 from granflow.scene.schema.motions import FreeWall, Rotation, Servo, SurfaceVelocity, TableMotion, Translation
+from granflow.scene.schema.stages import Stage
 from granflow.scene.schema.walls import AnyWall, Cone, Cylinder, Disc, Plane, Rectangle
 
 StageTimes = Mapping[str, tuple[float, float]]
@@ -177,9 +178,9 @@ def wall_change_times(walls: Sequence[PlannedWall]) -> tuple[float, ...]:
     return tuple(sorted(times - {0.0, inf}))
 
 
-def always(scene: Scene) -> StageTimes:
+def always(schedule: Sequence[Stage]) -> StageTimes:
     """Times of stages that never end: all motions of the scene are possible at any time."""
-    return {stage.name: (0.0, inf) for stage in scene.schedule}
+    return {stage.name: (0.0, inf) for stage in schedule}
 
 
 def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
@@ -189,7 +190,7 @@ def wall_speeds(scene: Scene, walls: Sequence[PlannedWall]) -> dict[str, float]:
     """
     corners = np.array([scene.domain.min, scene.domain.max])
     speeds = {}
-    times = always(scene)
+    times = always(scene.schedule)
     for wall in walls:
         motions = [each.at(times) for each in wall.motions]
         rotation = motion.single_rotation(motions)
@@ -206,13 +207,17 @@ def surface_speed(scene: Scene) -> float:
 
     Points of a rotating wall are assumed to be at most half the diagonal of the domain from the axis.
     """
-    times = always(scene)
+    times = always(scene.schedule)
     extent = float(np.linalg.norm(np.subtract(scene.domain.max, scene.domain.min)))
     fastest = 0.0
     for wall in scene.walls.values():
         motions = [each.at(times) for each in planned_motions(wall.motion, scene.gravity)]
         controlled_speed = max(
-            sum(_force_controlled_speed(scene, each, extent) for each in wall.motion if is_in_stage(each, stage.name))
+            sum(
+                _force_controlled_speed(scene.gravity, each, extent)
+                for each in wall.motion
+                if is_in_stage(each, stage.name)
+            )
             for stage in scene.schedule
         )
         belt = sum(motion_speed.top_speed(each) for each in motions if isinstance(each, motion.SurfaceVelocity))
@@ -225,11 +230,11 @@ def is_in_stage(given: Any, stage: str) -> bool:
     return given.stages is None or stage in given.stages
 
 
-def _force_controlled_speed(scene: Scene, given: Any, distance: float) -> float:
+def _force_controlled_speed(gravity: Sequence[float], given: Any, distance: float) -> float:
     """Largest speed [m/s] of a force-controlled motion: `velocity_max` of a servo, free fall of a free wall."""
     if isinstance(given, Servo):
         return given.velocity_max
     if isinstance(given, FreeWall):
-        acceleration = abs(float(np.dot(scene.gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
+        acceleration = abs(float(np.dot(gravity, _unit_vector(given.direction)))) + abs(given.force) / given.mass
         return float(np.sqrt(2.0 * acceleration * distance))
     return 0.0

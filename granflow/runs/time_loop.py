@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
 
@@ -10,10 +11,12 @@ from granflow.engine.limits import abort_message
 from granflow.errors import RunError, StopRun
 from granflow.observers.base import TOTALS
 from granflow.plan.scene_parts import PlannedStage
+from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
 from granflow.runs.stage_progress import REST_CHECKS
 from granflow.runs.step_batches import StepBatches
+from granflow.runs.timings import collect_result
 
 
 class TimeLoop:
@@ -220,3 +223,21 @@ class TimeLoop:
         """Log the simulated time and the number of steps."""
         engine = self.engine
         logging.getLogger("granflow").info("done at %.6g s after %d steps", engine.time, engine.step_count)
+
+    def last_result(self) -> Result:
+        """Numbers of the run at its end, which is logged."""
+        result = self.result()
+        self.state.insertion.log_end()
+        self.state.observers.log_end()
+        self.log_end()
+        return result
+
+    def result(self) -> Result:
+        """Numbers of the run so far, with expectations if all stages have ended."""
+        state = self.state
+        totals = self.engine.observe(state.progress.stage, frozenset({TOTALS})).totals
+        readings = {**state.observers.readings(), "insertion": state.insertion.results()}
+        result = collect_result(self.engine, state.wall_clock, totals, readings)
+        if not self.stages_ended:
+            return replace(result, is_complete=False)
+        return result.with_expectations(state.plan.expectations)

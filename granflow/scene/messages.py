@@ -147,8 +147,11 @@ class _SchemaError:
             return Fault(self.path, self.context.get("reason", "it cannot be read"))
         names = [tag_of(member).strip("<>") for member in get_args(_annotation_at(self.schema, self.loc))]
         if "reason" in self.context:
-            near = nearest(node.text, [name for name in names if " " not in name]) if node.text else None
-            return Fault(self.path, self.context["reason"] + (f". Did you mean {near}?" if near else ""))
+            word = _word(node)
+            known = [name.removeprefix("law ") for name in names]
+            near = nearest(word, known) if word and word not in known else None
+            hint = f". Did you mean {near}?" if near else "" if word in known else _registration(self.path)
+            return Fault(self.path, self.context["reason"] + hint)
         key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
         if node.entries is not None and key in node.entries:
@@ -163,17 +166,28 @@ class _SchemaError:
     def _one_of(self, path: KeyPath, allowed: list[str]) -> Fault:
         """A word that is not one of `allowed`: the message lists them and suggests the closest."""
         node = self.document.find(path)
-        near = nearest(node.text, allowed) if node is not None else None
-        hint = f". Did you mean {near}?" if near else ""
-        if node is not None and not near:
-            hint = _elsewhere(node.text)
+        word = "" if node is None else _word(node)
+        near = nearest(word, allowed) if word else None
+        hint = f". Did you mean {near}?" if near else _elsewhere(word) or _registration(path)
         return Fault(path, f"it must be {'one of ' * (len(allowed) > 1)}{', '.join(allowed)}{hint}")
+
+
+def _word(node: Node) -> str:
+    """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a list."""
+    law = node.child("law")
+    return node.text if law is None else law.text
 
 
 def _elsewhere(word: str) -> str:
     """Sentence, after the list of allowed words, on a contact model of another slot; empty for other words."""
     slot = next((slot for slot in SLOTS if word in registry.models(slot)), None)
     return f". {word} is given as contact.{slot}: {word}" if slot else ""
+
+
+def _registration(path: KeyPath) -> str:
+    """Sentence, after the list of contact models, on those of a program; empty for other keys."""
+    is_model = path[:1] == ("contact",) and path[1:2] and path[1] in SLOTS and path[2:] in ((), ("law",))
+    return ". Register a model of your own before: granflow.register_contact_model" if is_model else ""
 
 
 def model_at(annotation: Any, loc: KeyPath) -> type[BaseModel] | None:

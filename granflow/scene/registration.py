@@ -1,10 +1,10 @@
 """Registration of contact models from outside the package."""
 
 from collections.abc import Iterator
-from inspect import getsource
+from inspect import unwrap
 
 from granflow.contact import registry
-from granflow.contact.branches import run_time_branches
+from granflow.contact.branches import run_time_branches, source_lines
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
 from granflow.scene import partial
@@ -43,24 +43,25 @@ def _refuse_without_source(model: ContactModel) -> None:
     """Raise ValueError if the text of a device function is not available, which the kernel language compiles."""
     for name in ("force", "torque"):
         try:
-            getsource(getattr(model.law, name, registry.add))
-        except OSError:
-            raise ValueError(
-                f"contact model {model.law.__name__}: the source of {name} is not available; define the class in a "
-                "file or a notebook cell."
-            ) from None
+            source_lines(unwrap(getattr(model.law, name, registry.add)))
+        except ValueError as error:
+            raise ValueError(f"contact model {model.law.__name__}: {error}") from None
 
 
 def _refuse_branches(model: ContactModel) -> None:
-    """Raise ValueError for a branch in a function that runs in a vectorized loop."""
+    """Raise ValueError for a branch in a function of a vectorized loop, or a called function without source."""
     if not getattr(model.law, "branch_free", True):
         return
     for name in [each for each in VECTORIZED if hasattr(model.law, each)]:
-        for place in run_time_branches(getattr(model.law, name)):
+        try:
+            places = [*run_time_branches(getattr(model.law, name))]
+        except ValueError as error:
+            raise ValueError(f"contact model {model.law.__name__}: {error}") from None
+        if places:
             remedy = "use ti.select" + (", or set branch_free = False" if hasattr(model.law, "branch_free") else "")
             raise ValueError(
-                f"contact model {model.law.__name__}: {place}: {name} has a branch that depends on the contact, in a "
-                f"loop that must be vectorized; {remedy}"
+                f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the contact, in "
+                f"a loop that must be vectorized; {remedy}"
             )
 
 

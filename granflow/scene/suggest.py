@@ -141,3 +141,9 @@ def suggestion_or_list(word: str, known: Iterable[str], kind: str) -> str:
     if match:
         return f"Did you mean {match}?"
     return f"The {kind} are {', '.join(names)}" if names else f"There are no {kind}"
+
+
+def suggestion_sentence(word: str, known: Iterable[str], kind: str) -> str:
+    """As `suggestion_or_list`, with a period unless it is a question."""
+    remedy = suggestion_or_list(word, known, kind)
+    return remedy if remedy.endswith(("?", ".")) else f"{remedy}."

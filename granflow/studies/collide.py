@@ -10,7 +10,7 @@ from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
 from granflow.contact.registry import models
 from granflow.scene.schema.presets import PRESETS
-from granflow.scene.suggest import suggestion_or_list
+from granflow.scene.suggest import suggestion_sentence
 from granflow.studies.collision_bench import Collision, CollisionBench, duration_given
 from granflow.studies.reference_path import Impact, damped_path, end_overlap, history_along, loading_path
 
@@ -71,15 +71,21 @@ def collide(
     _refuse_deep(sizes, velocity, expected["overlap_max_theory"])
     if steps_per_contact is not None:
         free = bench(time_step=expected["duration_theory"] / steps_per_contact)
+    plan = _stable_plan(free, steps_per_contact)
+    found = _integrate_collision(free, impact)
+    free.free()
+    return expected | found | {"time_step": plan.time_step}
+
+
+def _stable_plan(bench: CollisionBench, steps_per_contact: float | None) -> Plan:
+    """The plan, whose warnings are logged. Raises GranflowError if `steps_per_contact` are not stable."""
     try:
-        plan = free.plan
+        plan = bench.plan
     except SceneError:
         raise GranflowError(f"{steps_per_contact:g} steps per contact are not stable; use more.") from None
     for warning in plan.step.warnings:
         logging.getLogger("granflow").warning("warning: %s", warning)
-    found = _integrate_collision(free, impact)
-    free.free()
-    return expected | found | {"time_step": plan.time_step}
+    return plan
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
@@ -109,16 +115,11 @@ def _settings(given: Sequence[str]) -> dict[str, Any]:
 def _refuse_unknown(law: str, materials: tuple[str, str]) -> None:
     """Raise GranflowError for an unknown contact model or preset, with a suggestion."""
     if law not in models("normal"):
-        raise GranflowError(
-            f"Unknown contact model {law}. {_sentence(suggestion_or_list(law, models('normal'), 'contact models'))}"
-        )
+        remedy = suggestion_sentence(law, models("normal"), "contact models")
+        raise GranflowError(f"Unknown contact model {law}. {remedy}")
     for name in materials:
         if name not in PRESETS:
-            raise GranflowError(f"there is no preset {name}. {_sentence(suggestion_or_list(name, PRESETS, 'presets'))}")
-
-
-def _sentence(remedy: str) -> str:
-    return remedy if remedy.endswith("?") else f"{remedy}."
+            raise GranflowError(f"there is no preset {name}. {suggestion_sentence(name, PRESETS, 'presets')}")
 
 
 def _refuse_unphysical(sizes: tuple[float, float], velocity: float, steps_per_contact: float | None) -> None:

@@ -8,7 +8,8 @@ import pytest
 from scene_builders import build_scene, particle_group
 
 import granflow as gf
-from granflow.contact.law import CohesionLaw, HistoryField
+from granflow.contact.cohesion_law import CohesionLaw
+from granflow.contact.law import HistoryField
 from granflow.contact.model import ContactModel
 from granflow.device_functions import ti
 from granflow.scene.registration import unregister_contact_model
@@ -41,9 +42,19 @@ def nothing(position, velocity, radius, mass, time, parameters):
     force = mass * velocity  # noqa: F841
 
 
+_DEFINED: dict = {}
+exec("def generated(value):\n    return 2.0 * value\n", _DEFINED)
+generated = ti.func(_DEFINED["generated"])
+
+
+def without_source(position, velocity, radius, mass, time, parameters):
+    return generated(velocity)
+
+
 FORCES = {
     undefined: (2, 'Name "viscosity" is not defined; give numbers of the program in `parameters`'),
-    member: (1, "AttributeError: the struct has no attribute 'viscosiy'"),
+    member: (1, "AttributeError: the struct has no attribute 'viscosiy'; its members are viscosity"),
+    without_source: (1, "OSError: could not get source code: define all functions in a file or a notebook cell"),
     text: (1, "Invalid constant scalar data type: <class 'str'>"),
     early: (2, "Return inside non-static if/for is not supported"),
     two_values: (0, "the function must return a vector of three components [N]"),
@@ -118,7 +129,12 @@ class OtherHistory(Faulty):
 
 MODELS = {
     Undefined: (helper, 2, 'Name "stiffness" is not defined; give numbers of the program in `parameters`'),
-    Member: (Member.force, 2, "AttributeError: the struct has no attribute 'overlapp'"),
+    Member: (
+        Member.force,
+        2,
+        "AttributeError: the struct has no attribute 'overlapp'; its members are mass_eff, overlap, overlap_rate, "
+        "radius_eff, time_step",
+    ),
     OneValue: (OneValue.force, 0, "force must return (number, history), not (number)"),
     Kind: (Kind.force, 0, "force must return (number, history), not (vector, history)"),
     OtherHistory: (OtherHistory.force, 0, "force must return the history with its fields (largest)"),
@@ -234,3 +250,27 @@ def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, funct
         f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on the "
         "contact, in a loop that must be vectorized; use ti.select"
     )
+
+
+class CallingGenerated(Faulty):
+    name = "calling_generated"
+
+    @ti.func
+    def force(self, constants, contact, history):
+        return generated(contact.overlap), history
+
+
+def test_a_called_function_without_source_is_refused_at_registration():
+    with pytest.raises(ValueError) as error:
+        gf.register_contact_model(ContactModel(CallingGenerated, "calls a function of exec"))
+    assert str(error.value) == (
+        "contact model CallingGenerated: the source of generated is not available, which is compiled from it; define "
+        "it in a file or a notebook cell"
+    )
+
+
+@pytest.mark.parametrize("slot", ["normal", "cohesion"])
+def test_a_contact_model_that_is_not_registered_has_a_remedy(slot):
+    contact = {"normal": "hertz", "tangential": "none", "rolling": "none", slot: {"law": "xyz"}}
+    with pytest.raises(gf.SceneError, match="Register a model of your own before: granflow.register_contact_model."):
+        gf.Scene.from_dict(scene().to_dict() | {"contact": contact})

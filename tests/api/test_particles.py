@@ -144,7 +144,19 @@ def test_removal_of_all_particles_and_of_a_contact(taichi_f64):
 
 
 WRONG = {
-    "velocity has the shape (4, 3) and cannot be written": lambda p: p.velocity.__setitem__(slice(None), [[1.0, 2.0]]),
+    "velocity: values of the shape (1, 2) are given for (4, 3).": lambda p: p.velocity.__setitem__(
+        slice(None), [[1.0, 2.0]]
+    ),
+    "velocity: values of the shape (3, 4) are given for (4, 3); give the transpose": lambda p: setattr(
+        p, "velocity", np.zeros((3, 4))
+    ),
+    "velocity, of the shape (4, 3): index 9 is out of bounds": lambda p: p.velocity.__setitem__(9, 0.0),
+    "particles.add has no argument radius. Give diameter, twice the radius.": lambda p: p.add(
+        [0, 0, 0], group="feed", radius=0.005
+    ),
+    "particles.add has no argument velosity. Did you mean velocity?": lambda p: p.add(
+        [0, 0, 0], group="feed", velosity=[0, 0, 1]
+    ),
     "velocity contains nan; all values must be finite": lambda p: p.velocity.__setitem__(0, np.nan),
     "outside the domain from [-1.0, -1.0, -1.0] to": lambda p: p.position.__setitem__(0, [0.0, 0.0, 2.0]),
     "particles.mass is read-only": lambda p: p.mass.__setitem__(0, 1.0),

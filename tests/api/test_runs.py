@@ -122,3 +122,22 @@ def test_attributes_that_would_have_no_effect_cannot_be_set(taichi_f64, name):
     with gf.Simulation(falling()) as simulation:
         with pytest.raises(AttributeError, match=f"Simulation.{name} cannot be set: .* add a force"):
             setattr(simulation, name, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("energy_budget", "kind", "name", "message"),
+    [
+        (True, "totals", "energy", "snapshot.totals has no energy; the names are particle_count, "),
+        (False, "totals", "elastic_energy", "snapshot.totals has no elastic_energy; set output.energy_budget to true."),
+        (True, "particles", "spin", "snapshot.particles has no spin; the names are position, radius, mass, "),
+        (True, "walls", "lid", "snapshot.walls has no lid; the names are floor."),
+        (True, "impulses", "floor", "snapshot.impulses has no floor; it is empty."),
+    ],
+)
+def test_unknown_names_of_a_snapshot_are_refused_with_the_known_ones(taichi_f64, energy_budget, kind, name, message):
+    with gf.Simulation(falling(output=OUTPUT | {"energy_budget": energy_budget})) as simulation:
+        contents = getattr(simulation.snapshot(), kind)
+    with pytest.raises(KeyError) as error:
+        contents[name]
+    assert str(error.value).startswith(message)
+    assert contents.get(name) is None and name not in contents

@@ -9,7 +9,6 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
-from granflow.engine import backend
 from granflow.io.checkpoint import checkpoint_at
 
 ARRAYS = ("position", "velocity", "angular_velocity")
@@ -132,9 +131,11 @@ def test_missing_checkpoints_have_their_own_messages(tmp_path):
         checkpoint_at(tmp_path)
 
 
-def test_the_message_on_a_second_start_contains_the_threads(taichi_f64):
-    with pytest.raises(gf.GranflowError, match="on cpu with f64 and 2 threads; start cpu with f64 and 3 threads in a"):
-        backend.start("cpu", "f64", 3)
+def test_other_settings_are_refused_while_a_simulation_is_in_use(taichi_f64):
+    with gf.Simulation(build_scene({"left": particle_group([[0.0, 0.0, 0.01]])}), threads=2) as simulation:
+        with pytest.raises(gf.GranflowError, match="f64 and 2 threads: end it by simulation.free.. before one"):
+            gf.start("cpu", "f64", 3)
+        assert simulation.particles.position.shape == (1, 3)
 
 
 def test_dictionary_of_a_scene_gives_an_equal_one():

@@ -8,6 +8,9 @@ from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
 from granflow.geometry.motion import Rotation, Translation, Vibration, placement_at, pose
+from granflow.geometry.motion_table import MotionTable, TableRotation
+from granflow.plan.build import plan_for
+from granflow.plan.wall_changes import with_motions
 
 GRAVITY = 9.81
 
@@ -112,3 +115,11 @@ def test_changes_that_are_not_possible_are_refused(taichi_f64):
         ):
             with pytest.raises(gf.GranflowError, match=message):
                 walls[name].motion = motion
+
+
+def test_rotations_by_tables_count_as_rotations():
+    plan = plan_for(resting())
+    table = TableRotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), MotionTable.of_values([0.0, 1.0], [0.0, 0.1]))
+    second = Rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 1.0, 0.0, 0.0)
+    with pytest.raises(gf.GranflowError, match="two rotations, but a wall can have at most one"):
+        with_motions(plan, "side", [table, second], 0.0, [])

@@ -57,8 +57,11 @@ def test_unknown_scene_is_an_error_with_a_suggestion(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_wheel_contains_the_scenes(tmp_path):
-    """The package in a wheel, without the clone, lists all scenes and copies one that passes the check."""
+def test_wheel_contains_the_scenes_and_inputs(tmp_path):
+    """The package in a wheel, without the clone, lists all scenes and copies one that passes the check.
+
+    It has the inputs of the validation for other codes.
+    """
     build = f"from hatchling.build import build_wheel; build_wheel({str(tmp_path)!r})"
     subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")
@@ -73,3 +76,6 @@ def test_wheel_contains_the_scenes(tmp_path):
     assert len(granflow("examples").splitlines()) == len(list(SCENES.rglob("*.yaml")))
     granflow("example", "mixer")
     assert "no problems found" in granflow("check", "mixer.yaml")
+    inputs = {path.name: path.read_bytes() for path in (ROOT / "tools/validation/inputs").iterdir()}
+    found = (tmp_path / "installed/granflow/studies/validation/inputs").iterdir()
+    assert inputs == {path.name: path.read_bytes() for path in found}

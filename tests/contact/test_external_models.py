@@ -4,7 +4,6 @@ import json
 import shutil
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -13,8 +12,10 @@ from contact import test_normal_laws as generic
 from contact.cases import SI, Case, number
 from resume.runs import files_of, states_of
 
-from granflow import Scene, SceneError, load_scene, register_contact_model
-from granflow.contact.law import CohesionLaw, HistoryField, ModelRequest, NormalLaw
+from granflow import SceneError, load_scene, register_contact_model
+from granflow.cli.main import main
+from granflow.contact.cohesion_law import CohesionLaw
+from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
@@ -192,6 +193,29 @@ def test_scene_runs_with_energy_budget_contact_output_and_identical_restart(tmp_
     assert 0.0 < arrays["rolling_duration"].min() and arrays["rolling_duration"].max() <= 0.01
 
 
+def test_runs_are_rendered_also_without_the_models(tmp_path, taichi_f64):
+    """`granflow render` reads the frames of a run, and needs no model."""
+    pytest.importorskip("matplotlib")
+    with Simulation(scene_of(tmp_path), out=tmp_path / "run") as simulation:
+        simulation.step(10)
+    pictures = [tmp_path / "picture.png", tmp_path / "again.png"]
+    assert main(["render", str(tmp_path / "run"), "--out", str(pictures[0])]) == 0
+    for model in (STICKY, VISCOUS):
+        unregister_contact_model(model)
+    assert main(["render", str(tmp_path / "run"), "--out", str(pictures[1])]) == 0
+    for model in (STICKY, VISCOUS):
+        register_contact_model(model)
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in pictures)
+
+
+def test_scene_keys_in_the_terminal_contain_the_models(capsys):
+    assert main(["schema", "contact.cohesion"]) == 0
+    shown = capsys.readouterr().out
+    assert "{law: sticky, ...}" in shown and "saturation  number [m]; required" in shown
+    assert main(["schema", "pairs.rolling_viscosity"]) == 0
+    assert "torque over rolling rate [N m s]; required with contact.rolling: syrupy" in capsys.readouterr().out
+
+
 def test_json_schema_contains_the_models():
     text = json.dumps(json_schema())
     assert "syrupy (syrupy rolling torque)" in text and '"sticky"' in text
@@ -251,53 +275,3 @@ CHECKS = (
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: getattr(check, "__name__", "units"))
 def test_generic_requirements_hold(taichi_f64, check):
     check(taichi_f64, case=StickyCase("sticky_elastic", sticky_laws, number(1.0), adhesive=True))
-
-
-@dataclass(frozen=True)
-class Incomplete(NormalLaw):
-    name = "incomplete"
-    source = "this test, 2026"
-    limits = "a model without physical basis"
-
-
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (ContactModel(Incomplete, "x"), "must define force, stored_energy, phase_durations, unloading_stiffness, see "),
-        (
-            ContactModel(type("Other", (Hertz,), {"name": "other", "constant_names": ("k",)}), "x"),
-            "begins with modulus_e",
-        ),
-        (ContactModel(Sticky, "x", options={"size": Amount("x", "1 m", "lenght")}), "dimension lenght is not one of"),
-    ],
-)
-def test_incomplete_models_are_refused_at_registration(model, message):
-    """Without the refusal, the first scene fails with a traceback from the time step or the kernels."""
-    with pytest.raises(ValueError, match=message):
-        register_contact_model(model)
-
-
-def test_a_model_without_source_is_refused_at_registration():
-    """As in the interactive interpreter: the kernel language compiles the text of the functions."""
-    names: dict = {"ti": ti, "Sticky": Sticky}
-    exec("class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]", names)
-    with pytest.raises(ValueError, match="the source of force is not available; define the class in a file"):
-        register_contact_model(ContactModel(names["Typed"], "x"))
-
-
-OVERLAP = Amount("overlap [m]", "1 um", "length", "an overlap", above=0)
-
-
-def test_a_scene_from_before_the_registration_is_written_without_a_warning(recwarn):
-    first = load_scene(Path(__file__).parents[2] / "scenes" / "hopper.yaml")
-    model = ContactModel(
-        type("Later", (Sticky,), {"name": "later"}),
-        "x",
-        options={"saturation": Amount("x", "1 um", "length", "an overlap", above=0)},
-    )
-    register_contact_model(model)
-    try:
-        assert Scene.from_dict(first.to_dict(), first.folder).to_dict() == first.to_dict()
-    finally:
-        unregister_contact_model(model)
-    assert not [each for each in recwarn if "serializer" in str(each.message)]

@@ -1,6 +1,7 @@
 """The threads of the pool are identified by their CPU time and pinned while the workers use all cores."""
 
 import hashlib
+import itertools
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -32,6 +33,17 @@ def test_threads_are_identified_by_their_cpu_time(pool):
     threads, launch = pool
     assert identify_threads(CORES, launch) == threads
     assert identify_threads(CORES + 1, launch) == []
+
+
+def test_threads_are_identified_if_one_thread_runs_all_tasks_of_a_launch():
+    with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
+        turns = itertools.cycle([first] * 7 + [second])
+
+        def launch():
+            return next(turns).submit(lambda: [threading.get_native_id(), hashlib.sha256(DATA).digest()]).result()[0]
+
+        threads = sorted({launch() for _ in range(8)})
+        assert identify_threads(2, launch) == threads
 
 
 @pytest.mark.skipif(CORES == 1, reason="needs two cores")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from granflow.engine import compilation
+from granflow.engine.backend import Backend
 from granflow.engine.threads import workers
 
 
@@ -30,26 +31,26 @@ def test_each_kernel_is_compiled_once_in_the_context_also_if_an_id_is_used_again
         del kernel
 
 
-def test_the_pool_is_measured_once_per_process_and_only_for_several_workers(monkeypatch):
+def test_the_pool_is_measured_once_per_start_of_taichi_and_only_for_several_workers(monkeypatch):
     measured: list[Any] = []
 
     def measure(state):
         measured.append(state)
         return workers.ThreadPool(affinity=None, seconds_per_poll=1e-6)
 
-    def prepared(particle_count, worker_count):
-        state = SimpleNamespace(
-            count=particle_count,
-            backend=SimpleNamespace(worker_count=worker_count),
-            control=SimpleNamespace(patience=[0, 0]),
-        )
+    def backend(worker_count):
+        return Backend("cpu", "f64", None, None, None, worker_count)
+
+    def prepared(particle_count, used):
+        state = SimpleNamespace(count=particle_count, backend=used, control=SimpleNamespace(patience=[0, 0]))
         workers.Workers(state).prepare()
         return state.control.patience
 
-    monkeypatch.setattr(workers, "_pool", None)
     monkeypatch.setattr(workers, "_measure_pool", measure)
-    several = workers.SINGLE_WORKER_PARTICLES + 1
-    assert prepared(several - 1, 2) == prepared(several, 1) == [0, 0]
+    several, first, second = workers.SINGLE_WORKER_PARTICLES + 1, backend(2), backend(2)
+    assert prepared(several - 1, first) == prepared(several, backend(1)) == [0, 0]
     assert not measured
-    assert all(prepared(several, 2)) and all(prepared(several, 2))
+    assert all(prepared(several, first)) and all(prepared(several, first))
     assert len(measured) == 1
+    assert all(prepared(several, second))
+    assert len(measured) == 2

@@ -93,7 +93,7 @@ def test_results_are_bit_identical_for_any_thread_count(precision):
 
 def test_deepest_outlet_takes_a_particle_despite_rounding():
     """Positions 20 mm beyond the plane, 4 mm inside the box, 1e-12 m outside the box, and far from both."""
-    outlets = planned_outlets(chute())
+    outlets = planned_outlets(chute().outlets)
     position = np.array([[0.5, 0, -0.04], [0.5, 0, -0.003], [0.5, 0, 0.001 + 1e-12], [0.5, 0, 0.5]])
     inside = np.array([True, True, True, False])
     assert [outlets[k].name for k in outlet_of(outlets, position, inside)[:3]] == ["below", "side", "side"]

@@ -105,6 +105,48 @@ def test_sticking_contacts_with_damping_follow_mindlins_spring(run):
     np.testing.assert_allclose(oblique.plotted_quantities(sweep, "test6")["slip"], expected, atol=0.02)
 
 
+def published_convention(ratio, dashpot=1.0, tension=True, elastic_limit=True, steps=4000):
+    """Slip after over slip before the impact of test 6, for the abscissas `ratio` (n,) of the published plot.
+
+    Normal force: Hertz with the dashpot c d^(1/4) v, c = sqrt(5) zeta for a contact that ends at zero overlap.
+    Tangential force: Mindlin's displacement and sqrt(4 G*/E*) of the dashpot. Limit: mu times the elastic normal force.
+    The three options replace these by no tangential dashpot, no tension, and the whole normal force.
+    """
+    setup = oblique.TEST_6
+    nu, friction, log = setup.sphere["poisson_ratio"], setup.friction, np.log(setup.restitution)
+    shear = (1.0 - nu**2) / (2.0 * (1.0 + nu) * (2.0 - nu))
+    damping = -np.sqrt(5.0) * log / np.hypot(np.pi, log)
+    before = 3.5 * friction * (1.0 + setup.restitution) / ratio
+    slip, displacement = before.copy(), np.zeros_like(ratio)
+    step, overlap, rate = 2.9433 * 1.25**0.4 / steps, 0.0, 1.0
+    while (overlap := overlap + rate * step) > 0.0:
+        elastic, viscous = overlap**1.5, damping * overlap**0.25 * rate
+        if elastic + viscous <= 0.0 and not tension:
+            break
+        rate -= (elastic + viscous) * step
+        stiffness = 6.0 * shear * np.sqrt(overlap)
+        displacement += slip * step
+        force = stiffness * displacement + dashpot * np.sqrt(4.0 * shear) * damping * overlap**0.25 * slip
+        limit = friction * (elastic if elastic_limit else abs(elastic + viscous))
+        slides = np.abs(force) > limit
+        force = np.clip(force, -limit, limit)
+        displacement = np.where(slides, force / stiffness, displacement)
+        slip -= 3.5 * force * step
+    return -slip / before
+
+
+@pytest.mark.parametrize("test", ["test6", "test8"])
+def test_published_curves_of_sticking_contacts_follow_another_convention(test):
+    """Root mean square differences; each of the three conventions is needed."""
+    ratio, published = oblique.published("chung_ooi_2011")[f"{test}_slip"].T
+
+    def deviation(**options):
+        return np.sqrt(np.mean((published_convention(ratio, **options) - published) ** 2))
+
+    assert deviation() < 0.04
+    assert min(deviation(dashpot=0.0), deviation(tension=False), deviation(elastic_limit=False)) > 0.08
+
+
 @pytest.mark.parametrize("law", ["hertz", "zhou"])
 @pytest.mark.parametrize(
     ("quantity", "tolerance"), [("tangential_restitution", 0.025), ("spin", 50.0), ("rebound_angle", 2.0)]

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 from scene_builders import build_scene, particle_group
 
-from granflow import Scene, SceneError
+from granflow import Output, Scene, SceneError
 from granflow.load import scene_of
 
 
@@ -61,3 +61,15 @@ def test_scene_is_immutable():
     with pytest.raises(TypeError, match="immutable"):
         scene.particles.clear()
     assert scene.model_copy(deep=True) == scene
+
+
+def test_mappings_inside_of_blocks_are_immutable():
+    """In copies of the blocks: those of the program remain as they are, and so do the names of the given fields."""
+    given = Output(interval=0.1, flow_meters={"outlet": {"point": [0.0] * 3, "normal": [0.0, 0.0, -1.0]}})
+    scene = Scene.from_dict(described(output=given))
+    for mapping in (scene.output.flow_meters, scene.output.metrics):
+        with pytest.raises(TypeError, match="immutable"):
+            mapping["other"] = None
+    given.flow_meters.clear()
+    assert list(scene.output.flow_meters) == ["outlet"]
+    assert scene.output.model_fields_set == {"interval", "flow_meters"}

@@ -58,6 +58,16 @@ def written(folder, text=CALIBRATION):
             "calibration.yaml:1:24: scenes.pair.scene is sphere.yaml, but there is no file",
         ),
         ("value: 1 mJ", "curve: a.csv", "calibration.yaml:6:58: curve is a.csv, but "),
+        ("value: 1 mJ", "value: 1 mm", "targets.energy.tolerance is 10 uJ, but mm and uJ are units of different"),
+        ("1 mJ, tolerance: 10 uJ", "1 g, tolerance: 1 mg", "value is 1 g, but g is ambiguous; give the value in SI"),
+        ("1 mJ, tolerance: 10 uJ", "1 mm, tolerance: 1 mm", "value is 1 mm, but kinetic_energy is in J, and mm is no"),
+        ("tolerance: 10 uJ", "tolerance: 0.1", "tolerance is 0.1, but 0.1 has no unit; give all values in mJ"),
+        ("from: 0.3, to: 0.9", "from: 30 deg, to: 10 deg", "to is 10 deg, but it must be larger than from, 30 deg."),
+        (
+            "from: 0.3, to: 0.9",
+            "from: 0.3 rad, to: 0.9",
+            "0.9 has no unit; give all values in rad, or all in SI units.",
+        ),
         ("[pairs.steel-steel.restitution]", "pairs.steel-steel.friction", "which parameters.friction sets too"),
     ],
 )
@@ -79,6 +89,12 @@ def test_misspelt_key_is_reported_at_its_parameter(tmp_path):
     found = runner(tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction"))
     with pytest.raises(FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"):
         found.check({"friction": 0.1, "restitution": 0.5})
+
+
+def test_unknown_quantity_is_reported_at_its_target(tmp_path):
+    found = runner(tmp_path, CALIBRATION.replace("quantity: kinetic_energy", "quantity: kinetik_energy"))
+    with pytest.raises(FileError, match=r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"):
+        found.check({"friction": 0.1, "restitution": 0.6})
 
 
 def test_journal_of_another_calibration_is_refused(tmp_path):
@@ -275,7 +291,7 @@ def angle_run(folder, metrics=ANGLE, warnings=()):
 
 def angle_target(folder):
     given = {"scene": "a", "quantity": "angle_of_repose.left", "tolerance": "3 deg", "value": "27 deg"}
-    return read_target(Target.model_validate(given), folder, "x:1:1", "27 deg")
+    return read_target(Target.model_validate(given), folder, "x:1:1")
 
 
 def test_standard_error_and_unit_of_a_target(tmp_path):
@@ -284,7 +300,7 @@ def test_standard_error_and_unit_of_a_target(tmp_path):
     measured = angle_target(tmp_path)
     assert standard_errors(measured, tmp_path) == pytest.approx([0.2 / np.radians(3.0)])
     assert given_text(measured, np.radians(27.0), "angle_of_repose.left") == "27 deg"
-    plain = read_target(Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, "", 0.5)
+    plain = read_target(Target(scene="a", quantity="angle_of_repose.left", value=0.5, tolerance=0.1), tmp_path, "")
     assert given_text(plain, 0.5, "angle_of_repose.left") == "0.5 rad"
     assert error_name("angle_of_repose_mean.left") == "angle_of_repose_error_mean.left"
     assert standard_errors(target(tmp_path, value=4.0), tmp_path) == [0.0]

@@ -31,5 +31,6 @@ def test_bounds_of_a_shipped_calibration_are_valid(path, tmp_path):
     for end in ("start", "stop"):
         values = {name: getattr(each, end) for name, each in study.content.parameters.items()}
         for name, scene in study.scenes.items():
-            read = [each.target.quantity for each in study.targets.values() if each.target.scene == name]
+            targets = [each for each in study.targets.values() if each.target.scene == name]
+            read = {each.target.quantity: each.position for each in targets}
             assert isinstance(checked_run(scene, settings_of(study.content, name, values), read, common), CheckedRun)

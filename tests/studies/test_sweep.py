@@ -86,7 +86,9 @@ def test_misspelt_key_of_the_scene_is_reported_at_its_line_of_the_sweep(tmp_path
 
 def test_unknown_quantity_is_refused_with_the_closest_name(tmp_path):
     sweep = read_sweep(write_sweep(tmp_path, SWEEP.replace("rotational_energy]", "kinetik_energy]")))
-    with pytest.raises(FileError, match=r"kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?"):
+    with pytest.raises(
+        FileError, match=r"sweep.yaml:5:24: kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?"
+    ):
         checked_points(sweep, settings(tmp_path))
 
 
@@ -94,13 +96,13 @@ def sweep_of(**parts):
     return SweepInput.model_validate({"scene": "a.yaml", "read": ["kinetic_energy"], **parts})
 
 
-def test_grid_contains_all_combinations_in_si_units():
+def test_grid_contains_all_combinations_in_si_units_and_the_scene_gets_the_given_ones():
     vary = {"a.b": ["9 mm", "1 cm"], "c": {"from": 1, "to": 100, "count": 3, "scale": "log"}}
     points = design_points(sweep_of(vary=vary, set={"d": "2 ms"}))
     assert [tuple(point.values.values()) for point in points] == [
         (length, number) for length in (0.009, 0.01) for number in (1.0, pytest.approx(10.0), 100.0)
     ]  # fmt: skip
-    assert points[3].settings == {"d": 0.002, "a.b": 0.01, "c": 1.0}
+    assert points[3].settings == {"d": "2 ms", "a.b": "1 cm", "c": 1.0}
 
 
 def test_values_of_a_grid_are_the_shortest_decimals():
@@ -121,8 +123,8 @@ def test_one_parameter_sets_several_keys_and_others_along_with_it():
                      "with": {"stages.1.duration": ["2 s", "1 s"]}}}  # fmt: skip
     found = [point.settings for point in design_points(sweep_of(vary=vary))]
     assert found == [
-        {"walls.plug.radius": 0.009, "walls.floor.hole_radius": 0.009, "stages.1.duration": 2.0},
-        {"walls.plug.radius": 0.012, "walls.floor.hole_radius": 0.012, "stages.1.duration": 1.0},
+        {"walls.plug.radius": "9 mm", "walls.floor.hole_radius": "9 mm", "stages.1.duration": "2 s"},
+        {"walls.plug.radius": "12 mm", "walls.floor.hole_radius": "12 mm", "stages.1.duration": "1 s"},
     ]
 
 
@@ -276,7 +278,8 @@ def test_table_has_the_standard_errors_of_the_runs(tmp_path, values, errors, exp
     [
         (["sweep", "none.yaml"], "none.yaml: there is no such file"),
         (["sweep", "sweep.yaml", "--jobs", "0"], "give a whole number of at least 1"),
-        (["sweep", "sweep.yaml", "--jobs", "5000"], "need 5000 cores"),
+        (["sweep", "sweep.yaml", "--jobs", "5000"], "5 000 runs of 1 thread need 5 000 cores"),
+        (["sweep", "sweep.yaml", "--threads", "4000"], "1 run of 4 000 threads needs 4 000 cores"),
         (["sweep", "sweep.yaml", "--scheduler-file", "none.json"], "none.json: there is no such file"),
         (["sweep", "sweep.yaml", "--slurm", "sweep.yaml"], "cores is missing"),
     ],
@@ -289,6 +292,15 @@ def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, 
     except SystemExit as stop:
         code = stop.code
     assert code == 2 and words in capsys.readouterr().err
+
+
+def test_batch_system_that_is_not_installed_is_refused(tmp_path, monkeypatch):
+    pytest.importorskip("dask_jobqueue")
+    from granflow.studies.run_processes.cluster import BatchProfile, batch_cluster
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(GranflowError, match="--slurm requires the command sbatch, which this machine does not have"):
+        batch_cluster("slurm", tmp_path / "profile.yaml", BatchProfile(jobs=1, cores=1, memory="1 GB"), 1)
 
 
 @pytest.mark.parametrize("system", ["slurm", "pbs", "lsf", "sge"])

@@ -1,6 +1,7 @@
 """Pages of a sweep and of a calibration, from files of runs with known numbers."""
 
 import json
+from dataclasses import replace
 from math import pi, sin
 
 import numpy as np
@@ -11,11 +12,14 @@ from studies.test_sweep import run
 from granflow.studies.calibration.page import write_calibration_page
 from granflow.studies.calibration.results import result_of, write_result
 from granflow.studies.run_processes.outcome import ABORTED, Outcome, final_outcome, write_outcome
+from granflow.studies.sweep.axes import short_names
 from granflow.studies.sweep.design import design_points
 from granflow.studies.sweep.page import write_sweep_page
+from granflow.studies.sweep.plots import heat_maps
 from granflow.studies.sweep.schema import SweepInput
 from granflow.studies.sweep.sensitivity import sobol_indices
-from granflow.studies.sweep.series_overlay import series_overlay
+from granflow.studies.sweep.series_overlay import NamedRun, series_overlay
+from granflow.studies.sweep.shown import shown
 from granflow.studies.sweep.table import table_of
 
 
@@ -73,10 +77,10 @@ def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
     assert "Sobol" not in page.partition("<body>")[2].partition("<script>")[0]
 
 
-def test_angles_of_a_sweep_are_in_rad_and_degrees(tmp_path):
+def test_page_of_a_sweep_has_degrees_and_the_units_of_the_sweep_file(tmp_path):
     pytest.importorskip("plotly")
     angles = {"expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": {"angle_of_repose": 0.4}}}
-    content = {"scene": "a.yaml", "vary": {"a.x": [1.0]}, "read": ["angle_of_repose.left"]}
+    content = {"scene": "a.yaml", "vary": {"a.x": ["20 deg"]}, "read": ["angle_of_repose.left"]}
     sweep = SweepInput.model_validate(content)
     (point,) = design_points(sweep)
     made = finished(tmp_path, "run0", 1.0)
@@ -85,8 +89,20 @@ def test_angles_of_a_sweep_are_in_rad_and_degrees(tmp_path):
     table = table_of(tuple(sweep.vary), sweep.read, [(point, [made])], outcomes)
     write_sweep_page(tmp_path, sweep, "study", table)
     page = (tmp_path / "sweep.html").read_text()
-    assert ">0.4 (22.92 deg)</td>" in page and "angle_of_repose.left [rad] = 0.4 (22.92 deg)" in page
+    assert ">22.918</td>" in page and "a.x [deg] = 20" in page and "angle_of_repose.left [deg] = 22.92" in page
+    assert "1 of 1 runs, named by a.x [deg]." in page and '"name":"20"' in page
+    assert all(f">{head} [deg]</th>" in page for head in ("a.x", "angle_of_repose.left"))
     assert table.columns()["angle_of_repose.left [rad]"] == [0.4]
+    assert table.columns()["a.x"] == [pytest.approx(0.3490658503988659)]
+
+
+def test_short_names_of_parameters_are_different():
+    assert short_names(["walls.left.motion.phase", "friction"]) == {
+        "walls.left.motion.phase": "motion.phase", "friction": "friction",
+    }  # fmt: skip
+    assert list(short_names(["walls.left.motion.phase", "walls.right.motion.phase"]).values()) == [
+        "left.motion.phase", "right.motion.phase",
+    ]  # fmt: skip
 
 
 def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
@@ -96,8 +112,8 @@ def test_missing_numbers_prevent_sobol_indices_with_a_reason(tmp_path):
 
 
 def test_overlay_shows_the_series_of_all_runs(tmp_path):
-    runs = {name: finished(tmp_path, name, value).directory for name, value in (("a", 1.0), ("b", 2.0))}
-    plot = series_overlay(runs, ["mass_flow.out"])
+    runs = [NamedRun(name, f"x = {name}", finished(tmp_path, name, k + 1.0).directory) for k, name in enumerate("ab")]
+    plot = series_overlay(runs, ["mass_flow.out"], "x")
     assert [curve["name"] for curve in plot.figure["data"]] == ["a", "b"]
     assert set(plot.figure["data"][1]["y"]) == {2.0}
     labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
@@ -127,3 +143,13 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     assert (friction.importance, restitution.importance) == (0.0, 1.0)
     assert friction.not_identified in page and ">Importance</h2>" in page
     assert len((tmp_path / "trials.csv").read_text().splitlines()) == 13
+
+
+def test_heat_map_of_equal_values_is_labeled_with_their_value(tmp_path):
+    sweep, table = swept(tmp_path)
+    rows = tuple(
+        replace(row, runs=[replace(each, numbers={"mass_flow.out": 2.5}) for each in row.runs]) for row in table.rows
+    )
+    bars = [plot.figure["data"][0]["colorbar"] for plot in heat_maps(shown(sweep, replace(table, rows=rows)))]
+    assert [bar["ticktext"] for bar in bars] == [["2.5"]] * 3
+    assert all("ticktext" not in plot.figure["data"][0]["colorbar"] for plot in heat_maps(shown(sweep, table)))

@@ -58,7 +58,9 @@ PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
     "Contact models of your own": {
         "granflow.contact.model": ("ContactModel",),
         "granflow.contact.options": ("Amount", "Choice", "PairOption"),
-        "granflow.contact.law": ("Law", "NormalLaw", "CohesionLaw", "HistoryField", "ModelRequest"),
+        "granflow.contact.law": ("Law", "HistoryField", "ModelRequest"),
+        "granflow.contact.normal_law": ("NormalLaw",),
+        "granflow.contact.cohesion_law": ("CohesionLaw",),
         "granflow.contact.surface_law": ("TangentialLaw", "RollingLaw", "TwistingLaw", "TorqueLaw"),
         "granflow.contact.material": ("PairMaterial",),
     },

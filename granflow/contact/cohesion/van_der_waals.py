@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from granflow.contact import theory
-from granflow.contact.law import CohesionLaw, ContactState, ModelRequest
+from granflow.contact.cohesion_law import CohesionLaw
+from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, PairOption

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, HistoryField, ModelRequest, NormalLaw
+from granflow.contact.law import ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.model import ContactModel
+from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount, Choice
 from granflow.contact.substep_corrections import build_step_mean, turning_point
 from granflow.contact.zhou_inelastic import (
@@ -26,7 +27,7 @@ from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, refere
 from granflow.contact.zhou_unloading import (
     least_restitution,
     recovery_of,
-    reloading_damping,
+    reloading_force,
     restitution_at,
     unloading_energy,
     unloading_force,
@@ -177,14 +178,9 @@ class Zhou(NormalLaw):
         viscous, excess = 0.0 * stiffness, 0.0 * stiffness
         if ti.static(self.rest_damping > 0.0):
             reloads = (overlap < overlap_max) & (rate > 0.0) & (unloading > 0.0) & (constants.restitution < 1.0)
-            loading_energy = 0.4 * stiffness * ti.sqrt(radius * overlap_max) * overlap_max * overlap_max
-            damping, stiffness_number = reloading_damping(contact, tangent, loading_energy)
-            damping *= constants.rest_damping
-            # The loss is booked with `rate`, half a step before the force. The mean over the step is smaller by half of
-            # the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
-            late = 0.5 * damping * (contact.time_step / contact.mass_eff) + 0.25 * stiffness_number
-            viscous = ti.select(reloads, damping * rate, 0.0)
-            excess = ti.select(reloads, damping * rate * late, 0.0)
+            damping_force, damping_excess = reloading_force(constants, contact, overlap_max, tangent)
+            viscous = ti.select(reloads, damping_force, 0.0)
+            excess = ti.select(reloads, damping_excess, 0.0)
         if ti.static(self.rate_dependent):
             viscous += self.viscous_force(constants, contact)
             viscous = ti.select(normal_force > 0.0, ti.max(viscous, -normal_force), 0.0)

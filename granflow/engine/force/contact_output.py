@@ -8,7 +8,7 @@ import numpy as np
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.pair_force import build_normal_force
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
-from granflow.engine.host_copy import FieldTable, consecutive
+from granflow.engine.host_copy import FieldTable, consecutive, list_table
 from granflow.engine.neighbor.contact_history_entry import build_read_history
 from granflow.engine.neighbor.history_transfer import vector_components
 from granflow.engine.periodic_box import build_wrap_position
@@ -25,15 +25,10 @@ def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
     """
-    rows = state.built(_row_table).take(slice(0, state.count))
+    rows = state.built(list_table).take(slice(0, state.count))
     begin, end = rows["begin"], rows["end"]
     owner, list_index = np.repeat(np.arange(state.count), end - begin), consecutive(begin, end - begin).astype(np.int64)
     return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
-
-
-def _row_table(state: State) -> FieldTable:
-    """Table of the bounds of all lists."""
-    return FieldTable({"begin": state.neighbors.list_begin, "end": state.neighbors.list_end})
 
 
 def _position_table(state: State) -> FieldTable:

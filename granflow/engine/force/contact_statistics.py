@@ -67,6 +67,14 @@ class ContactStatistics:
         return dict(zip((*SUMS, *ENERGIES, "overlap_largest"), values, strict=True))
 
 
+@ti.func
+def particles_of_row(row, rows, chunks, size, count):
+    """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
+    chunk_count = (chunks - row + rows - 1) // rows
+    last = row + (chunk_count - 1) * rows
+    return chunk_count * size - ti.max((last + 1) * size - count, 0)
+
+
 def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
     """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by row.
 
@@ -80,13 +88,6 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
     per_unit = state.parameter("per_unit")
-
-    @ti.func
-    def particles_of_row(row, rows, chunks, size, count):
-        """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
-        chunk_count = (chunks - row + rows - 1) // rows
-        last = row + (chunk_count - 1) * rows
-        return chunk_count * size - ti.max((last + 1) * size - count, 0)
 
     @ti.kernel
     def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):

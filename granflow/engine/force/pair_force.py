@@ -150,6 +150,18 @@ def build_surface_contact(plan: Plan) -> Any:
     return surface_contact
 
 
+@ti.func
+def normal_contact(bodies, kinematics, time_step):
+    """Argument `contact` of the normal and cohesion models."""
+    return ti.Struct(
+        radius_eff=bodies.radius_eff,
+        mass_eff=bodies.mass_eff,
+        time_step=time_step,
+        overlap=kinematics.overlap,
+        overlap_rate=kinematics.overlap_rate,
+    )
+
+
 def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
     """Device function: force and torques of one contact in a step.
 
@@ -168,13 +180,7 @@ def build_pair_force(plan: Plan, is_prepared: bool) -> Any:
 
     @ti.func
     def pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step):
-        contact = ti.Struct(
-            radius_eff=bodies.radius_eff,
-            mass_eff=bodies.mass_eff,
-            time_step=normal_time_step(dt, longest_time_step),
-            overlap=kinematics.overlap,
-            overlap_rate=kinematics.overlap_rate,
-        )
+        contact = normal_contact(bodies, kinematics, normal_time_step(dt, longest_time_step))
         normal_force, load, viscous, history_new = normal_force_of(constants, contact, history)
         force = normal_force * kinematics.normal
         torque, torque_partner = 0.0 * force, 0.0 * force

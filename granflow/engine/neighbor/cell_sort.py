@@ -149,18 +149,8 @@ def _counting_sort(
 
     Writes:  start, order, cell, cell_fill, block_sum
     """
-    sorting = state.cell_sort
-
     most_parts, cells_per_task = granularity(state)
-    most_cells, most_blocks, most_particles = start.shape[0], sorting.block_sum.shape[0], order.shape[0]
-
-    @ti.func
-    def block_count(rebuild):
-        return (cells_of_all() + 2 + SCAN_BLOCK - 1) // SCAN_BLOCK
-
-    @ti.func
-    def range_of(block):
-        return block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, cells_of_all() + 2)
+    most_cells, most_particles = start.shape[0], order.shape[0]
 
     @ti.func
     def part_count(rebuild):
@@ -170,10 +160,43 @@ def _counting_sort(
     def task_count(rebuild):
         return (cells_of_all() + 2 + cells_per_task - 1) // cells_per_task
 
+    clear, order_cells = _build_cell_tasks(state, cells_per_task, cells_of_all, key, start, order)
+    count_particles, place = _build_particle_parts(state, part_count, count_of, cell_of, cells_of_all, start, order)
+    return [
+        Phase(task_count, clear, most_cells),
+        Phase(part_count, count_particles, most_particles),
+        *_scan_phases(state, cells_of_all, start),
+        Phase(part_count, place, most_particles),
+        Phase(task_count, order_cells, most_cells),
+    ]
+
+
+def _build_cell_tasks(
+    state: State, cells_per_task: int, cells_of_all: Any, key: Any, start: Any, order: Any
+) -> tuple[Any, Any]:
+    """Device functions (task, rebuild): set the counts of some cells to 0; order their particles by key."""
+    sorting = state.cell_sort
+
     @ti.func
     def clear(task, rebuild):
         for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 2)):
             start[c], sorting.cell_fill[c] = 0, 0
+
+    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
+    # deleted particles can hold many of them: the host orders these.
+    @ti.func
+    def order_cells(task, rebuild):
+        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all())):
+            _order_by_key(order, key, start[c], start[c + 1])
+
+    return clear, order_cells
+
+
+def _build_particle_parts(
+    state: State, part_count: Any, count_of: Any, cell_of: Any, cells_of_all: Any, start: Any, order: Any
+) -> tuple[Any, Any]:
+    """Device functions (part, rebuild): count some particles in their cells; place them there."""
+    sorting = state.cell_sort
 
     @ti.func
     def count_particles(part, rebuild):
@@ -182,6 +205,29 @@ def _counting_sort(
             cell = cell_of(i, cells_of_all())
             sorting.cell[i] = cell
             ti.atomic_add(start[cell], 1)
+
+    @ti.func
+    def place(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
+        for i in range(begin, end):
+            cell = sorting.cell[i]
+            rank = ti.atomic_add(sorting.cell_fill[cell], 1)
+            order[start[cell] + rank] = i
+
+    return count_particles, place
+
+
+def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
+    """Phases that replace the counts of the cells in `start` by their sums over the cells before."""
+    sorting, most_blocks = state.cell_sort, state.cell_sort.block_sum.shape[0]
+
+    @ti.func
+    def block_count(rebuild):
+        return (cells_of_all() + 2 + SCAN_BLOCK - 1) // SCAN_BLOCK
+
+    @ti.func
+    def range_of(block):
+        return block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, cells_of_all() + 2)
 
     @ti.func
     def sum_block(block, rebuild):
@@ -208,29 +254,7 @@ def _counting_sort(
             start[c] = total
             total += here
 
-    @ti.func
-    def place(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
-            cell = sorting.cell[i]
-            rank = ti.atomic_add(sorting.cell_fill[cell], 1)
-            order[start[cell] + rank] = i
-
-    # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
-    # deleted particles can hold many of them: the host orders these.
-    @ti.func
-    def order_cells(task, rebuild):
-        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all())):
-            _order_by_key(order, key, start[c], start[c + 1])
-
-    return [
-        Phase(task_count, clear, most_cells),
-        Phase(part_count, count_particles, most_particles),
-        Phase(block_count, sum_block, most_blocks, sum_blocks),
-        Phase(block_count, scan_block, most_blocks),
-        Phase(part_count, place, most_particles),
-        Phase(task_count, order_cells, most_cells),
-    ]
+    return [Phase(block_count, sum_block, most_blocks, sum_blocks), Phase(block_count, scan_block, most_blocks)]
 
 
 @ti.func

@@ -69,9 +69,31 @@ def build_restore_history(state: State) -> Any:
     Reads:   order, id, saved, partner_saved
     Writes:  history, in_contact
     """
-    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
-    names, has_ghosts = list(neighbors.history), state.plan.has_ghosts
+    neighbors, source_of, names = state.neighbors, _build_source(state), list(state.neighbors.history)
     is_vector = {name: vector_components(state, name) for name in names}
+
+    @ti.func
+    def restore_history(list_index, i, j):
+        source, sign = source_of(i, j)
+        neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
+        for name in ti.static(names):
+            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+            if source >= 0:
+                for k, changes_sign in ti.static(enumerate(is_vector[name])):
+                    value = neighbors.saved[name][source][k]
+                    if ti.static(changes_sign):
+                        value = sign * value
+                    neighbors.history[name][list_index][k] = value
+
+    return restore_history
+
+
+def _build_source(state: State) -> Any:
+    """Device function (i, j): index of the saved history of a pair, -1 if none, and the sign of its vectors.
+
+    Reads:   order, id, partner_saved
+    """
+    neighbors, sorting, chunk_size = state.neighbors, state.cell_sort, state.parameter("chunk_size")
 
     @ti.func
     def find_saved(row, partner):
@@ -84,7 +106,6 @@ def build_restore_history(state: State) -> Any:
 
     @ti.func
     def source_before_sort(i, j):
-        """Index in `saved` of a pair; -1 if none. Sign of its vectors."""
         i_before = sorting.order[i]
         j_before = j
         if j >= 0:
@@ -109,19 +130,4 @@ def build_restore_history(state: State) -> Any:
             sign = -1.0
         return source, sign
 
-    source_of = source_by_id if has_ghosts else source_before_sort
-
-    @ti.func
-    def restore_history(list_index, i, j):
-        source, sign = source_of(i, j)
-        neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
-        for name in ti.static(names):
-            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
-            if source >= 0:
-                for k, changes_sign in ti.static(enumerate(is_vector[name])):
-                    value = neighbors.saved[name][source][k]
-                    if ti.static(changes_sign):
-                        value = sign * value
-                    neighbors.history[name][list_index][k] = value
-
-    return restore_history
+    return source_by_id if state.plan.has_ghosts else source_before_sort

@@ -47,12 +47,19 @@ def fill_phase(state: State) -> Phase:
     Writes:  list_begin, list_walls_end, list_end, partner, history, in_contact, list_length_needed, present,
              position_at_rebuild, rebuild_due, rebuild_requested, halted_at
     """
-    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
-    chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
-    lists, longest_allowed, has_ghosts = NeighborListFill(state), NO_LIMIT, state.plan.has_ghosts
-    can_halt = control.halted_at is not None
-    if state.batch is not None:
-        longest_allowed = state.batch.longest_list
+    present_count, chunk_size = _build_present_count(state), state.parameter("chunk_size")
+    fill = _build_fill_one(state) if state.plan.chunk_size == 1 else _build_fill(state, present_count)
+
+    @ti.func
+    def chunk_count(rebuild):
+        return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
+
+    return Phase(chunk_count, fill, state.plan.capacities.chunks, _build_finish(state, present_count))
+
+
+def _build_present_count(state: State) -> Any:
+    """Device function (rebuild): number of particles with a neighbor list."""
+    sorting, has_ghosts = state.cell_sort, state.plan.has_ghosts
 
     @ti.func
     def present_count(rebuild):
@@ -64,9 +71,16 @@ def fill_phase(state: State) -> Phase:
                 present = sorting.cell_start[sorting.cell_count[0]]  # deleted particles are in the cell behind the last
         return present
 
-    @ti.func
-    def chunk_count(rebuild):
-        return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
+    return present_count
+
+
+def _build_fill(state: State, present_count: Any) -> Any:
+    """Device function (chunk, rebuild): fill the neighbor lists of a chunk, see `fill_phase`."""
+    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
+    chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
+    lists, longest_allowed = NeighborListFill(state), NO_LIMIT
+    if state.batch is not None:
+        longest_allowed = state.batch.longest_list
 
     @ti.func
     def fill(chunk, rebuild):
@@ -86,6 +100,14 @@ def fill_phase(state: State) -> Phase:
         excess = ti.cast(longest > longest_allowed, ti.i32) * TOO_LONG
         ti.atomic_max(control.list_length_needed[0], list_index - begin + excess)
 
+    return fill
+
+
+def _build_fill_one(state: State) -> Any:
+    """Device function (i, rebuild): fill the neighbor list of one particle, see `fill_phase`."""
+    particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
+    lists, list_capacity = NeighborListFill(state), state.parameter("list_capacity")
+
     @ti.func
     def fill_one(i, rebuild):
         particles.position_at_rebuild[i] = particles.position[i]
@@ -100,6 +122,13 @@ def fill_phase(state: State) -> Phase:
                 begin, limit = ti.atomic_add(control.list_length_needed[0], end), list_capacity()
         neighbors.list_begin[i], neighbors.list_end[i] = begin, end
 
+    return fill_one
+
+
+def _build_finish(state: State, present_count: Any) -> Any:
+    """Device function (rebuild): store the number of particles and reset the requests of a rebuild."""
+    control, sorting, can_halt = state.control, state.cell_sort, state.control.halted_at is not None
+
     @ti.func
     def finish(rebuild):
         sorting.present[0] = present_count(rebuild)
@@ -109,8 +138,7 @@ def fill_phase(state: State) -> Phase:
             for phase in ti.static((INTEGRATION, FORCES)):
                 control.halted_at[phase] = NOT_HALTED
 
-    body = fill_one if state.plan.chunk_size == 1 else fill
-    return Phase(chunk_count, body, state.plan.capacities.chunks, finish)
+    return finish
 
 
 class NeighborListFill:

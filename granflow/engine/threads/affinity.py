@@ -14,10 +14,11 @@ PER_THREAD_CPU_CLOCK = 6
 """Low bits of the number of a Linux clock that measures the CPU time of one thread; the others are ~id."""
 
 MIN_SHARE = 0.5
-"""A thread of the pool has at least this share of the largest CPU time of a thread in the identifying launch."""
+"""A thread of the pool has at least this share of the largest CPU time of a thread in an identifying launch."""
 
-ATTEMPTS = 5
-"""Launches that identify the threads: if one thread starts late, another one can run its task."""
+ATTEMPTS = 60
+"""Launches that identify the threads. While two threads share a core, one of them often runs all tasks of a launch,
+which one differs between launches: on a loaded machine 5 launches showed both threads in one process of five."""
 
 
 class WorkerAffinity:
@@ -48,17 +49,18 @@ class WorkerAffinity:
 
 
 def identify_threads(count: int, launch: Callable[[], object]) -> list[int]:
-    """Ids of the `count` threads that use CPU time in a launch, without the calling one; empty if not found."""
+    """Ids of the `count` threads that run tasks of launches, without the calling one; empty if not found."""
+    found: set[int] = set()
     for _ in range(ATTEMPTS):
         before = thread_seconds()
         launch()
         used = {thread: seconds - before.get(thread, 0.0) for thread, seconds in thread_seconds().items()}
         used.pop(threading.get_native_id(), None)
         limit = MIN_SHARE * max(used.values(), default=0.0)
-        busy = sorted(thread for thread, seconds in used.items() if seconds > limit)
-        if len(busy) == count:
-            return busy
-    return []
+        found |= {thread for thread, seconds in used.items() if seconds > limit}
+        if len(found) >= count:
+            break
+    return sorted(found) if len(found) == count else []
 
 
 def thread_seconds() -> dict[int, float]:

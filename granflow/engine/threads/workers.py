@@ -1,7 +1,9 @@
 """Number of workers of each launch, their cores, and the time that they wait for each other."""
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
+from granflow.engine.backend import Backend
 from granflow.engine.state import State
 from granflow.engine.threads.affinity import WorkerAffinity
 from granflow.engine.threads.barrier import CALIBRATION_POLLS, build_poll, seconds_per_poll
@@ -26,8 +28,8 @@ class ThreadPool:
     seconds_per_poll: float
 
 
-_pool: ThreadPool | None = None
-"""The pool of this process, once a launch has used several workers."""
+_pools: "WeakKeyDictionary[Backend, ThreadPool]" = WeakKeyDictionary()
+"""The pool of each start of Taichi, once a launch has used several workers."""
 
 
 def _measure_pool(state: State) -> ThreadPool:
@@ -55,21 +57,24 @@ class Workers:
 
         A single worker never waits, so that most small scenes do not compile and run the kernel of the measurement.
         """
-        global _pool
         if self.count == 1 or self._patience:
             return
-        _pool = _pool or _measure_pool(self._state)
-        self._set_patience(_pool, CONTENTION_LIMIT)
+        backend = self._state.backend
+        if backend not in _pools:
+            _pools[backend] = _measure_pool(self._state)
+        self._set_patience(_pools[backend], CONTENTION_LIMIT)
 
     def place(self, count: int) -> None:
         """Pin the threads for a launch with `count` workers, or let the scheduler place them."""
-        if _pool is not None:
-            _pool.affinity.set_workers(count)
+        pool = _pools.get(self._state.backend)
+        if pool is not None:
+            pool.affinity.set_workers(count)
 
     def record(self, steps: int, seconds: float) -> None:
         """Choose workers and patience of the next launch from the wall-clock time [s] of a launch of `steps` steps."""
         state, workers = self._state, self._tuner.next_size
-        if state.count <= SINGLE_WORKER_PARTICLES or _pool is None:
+        pool = _pools.get(state.backend)
+        if state.count <= SINGLE_WORKER_PARTICLES or pool is None:
             return
         contended = int(state.control.worker_count[0]) < workers
         self._tuner.record(steps * state.count, seconds, contended)
@@ -81,7 +86,7 @@ class Workers:
         patience = CONTENTION_LIMIT + PATIENCE_CHUNKS * self._chunk_seconds
         # Small changes are ignored, so that the patience does not follow every fluctuation.
         if not 0.8 * self._patience < patience < 1.25 * self._patience:
-            self._set_patience(_pool, patience)
+            self._set_patience(pool, patience)
 
     def _set_patience(self, pool: ThreadPool, seconds: float) -> None:
         """Set the time [s] after which a worker leaves a barrier."""

@@ -12,7 +12,8 @@ def segregation_intensity(position: np.ndarray, volume: np.ndarray, is_kind_a: n
 
     V_k: volume of the particles with centers in cell k; c_k, c: share by volume of the first kind (`is_kind_a` (n,)) in
     cell k and in all cells. 1: each cell contains one kind only; 0: the same share in all cells. No cell is excluded.
-    NaN with one kind. (P. V. Danckwerts, Appl. Sci. Res. A 3 (1952) 279, with samples weighted by their volume.)
+    NaN with one kind. (sigma^2 / (c (1 - c)) of P. V. Danckwerts, Appl. Sci. Res. A 3 (1952) 279, with samples
+    weighted by their volume.)
     """
     cell, inside = grid.cells_of(position)
     total = np.bincount(cell[inside], weights=volume[inside], minlength=grid.cell_count)
@@ -30,10 +31,13 @@ def random_intensity(position: np.ndarray, volume: np.ndarray, is_kind_a: np.nda
 
         I_R = K (c v_b + (1 - c) v_a) / sum V_k,      v_a, v_b = sum v^2 / sum v
 
-    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by volume. The
-    variance of a sample of volume V is c (1 - c) (c v_b + (1 - c) v_a) / V (K. R. Poole, R. F. Taylor and G. P. Wall,
-    Trans. Inst. Chem. Eng. 42 (1964) T305); for equal volumes it is that of Lacey. Arguments as
-    `segregation_intensity`; NaN with one kind.
+    K: number of cells with particles; v_a, v_b: mean volumes of the particles of each kind, weighted by volume. In a
+    random mixture, the volumes V_a and V_b in a cell are sums over independent particles, with the variances V_a v_a
+    and V_b v_b. To first order, the variance of c = V_a / (V_a + V_b) = V_a / V is
+
+        ((1 - c)^2 V_a v_a + c^2 V_b v_b) / V^2 = c (1 - c) (c v_b + (1 - c) v_a) / V
+
+    For equal volumes v, it is that of Lacey, c (1 - c) v / V. Arguments as `segregation_intensity`; NaN with one kind.
     """
     cell, inside = grid.cells_of(position)
     volume, is_kind_a = volume[inside], is_kind_a[inside]

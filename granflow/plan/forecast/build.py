@@ -36,7 +36,7 @@ def forecasts_of(
     yield from static
     explained = max((each.overlap for each in static), default=0.0)
     for sentence in (
-        *file_warnings(scene, explained, 0.0 if impact is None else impact.overlap),
+        *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
         *size_warnings(scene),
         *wall_warnings(scene, walls),
         *region_warnings(scene, walls),

@@ -33,10 +33,10 @@ def forecast_velocity(scene: Scene, walls: tuple[PlannedWall, ...], planned: Imp
     """
     gravity = np.array(scene.gravity, float)
     magnitude = float(np.linalg.norm(gravity))
-    is_moving = bool(image_speed(scene)) or any(wall.motions for wall in walls)
+    is_moving = bool(image_speed(scene.domain)) or any(wall.motions for wall in walls)
     if scene.run.velocity_max is not None or not magnitude or is_moving:
         return planned
-    up, speeds = -gravity / magnitude, initial_speeds(scene)
+    up, speeds = -gravity / magnitude, initial_speeds(scene.particles)
     low = lowest_level(scene, walls, up)
     groups = {name: group for name, group in scene.particles.items() if not group.fixed}
     tops = {name: highest_point(group, up) for name, group in groups.items()}

@@ -1,9 +1,9 @@
 """Forecasts of overlaps in particle files that are larger than loading and impacts explain."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from granflow.load import Scene
 from granflow.scene.schema.insertion import FileInsertion
+from granflow.scene.schema.particles import Group
 
 TOLERANCE = 1.5
 """Overlap of a file over the forecast one above which a warning appears."""
@@ -12,13 +12,13 @@ ROUNDING = 1e-3
 """Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest radius."""
 
 
-def file_warnings(scene: Scene, static: float, impact: float) -> Iterator[str]:
+def file_warnings(particles: Mapping[str, Group], static: float, impact: float) -> Iterator[str]:
     """A sentence for each group from a file whose particles overlap more than the state of a bed explains.
 
     Overlaps over the smaller radius: `static` under weight, walls and cohesion; `impact` at the maximum velocity, for
     files with moving particles. Touching particles of a settled bed overlap and cause no warning.
     """
-    for name, group in scene.particles.items():
+    for name, group in particles.items():
         insertion = group.insert
         if not isinstance(insertion, FileInsertion) or insertion.found is None or group.fixed:
             continue

@@ -40,4 +40,4 @@ def _interval(scene: Scene, group: Group, insertion: RainInsertion | InletInsert
     if insertion.rate:
         return 1.0 / insertion.rate
     assert insertion.mass_flow is not None
-    return mean_volume(group) * solid(scene, group.material).density / insertion.mass_flow
+    return mean_volume(group) * solid(scene.materials, group.material).density / insertion.mass_flow

@@ -1,6 +1,6 @@
 """Forecasts of the largest overlaps: in impacts, and at rest under the weight, walls and cohesion."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -11,6 +11,7 @@ from granflow.load import Scene
 from granflow.plan.forecast.advice import Overlap, modulus_factor, modulus_text, required_moduli, without_modulus
 from granflow.plan.forecast.contact import TouchingPair, impact_overlap, static_overlap
 from granflow.plan.forecast.pressures import BedPressure
+from granflow.scene.schema.materials import Material
 from granflow.scene.schema.run import LARGEST_OVERLAP
 
 Cause = Literal["impact", "weight", "wall", "cohesion"]
@@ -126,13 +127,13 @@ def _largest(scene: Scene, pairs: Iterable[TouchingPair], overlap: Overlap) -> _
             factor = modulus_factor(pair, overlap, limit)
             if factor is None:
                 return _Largest(worst[1], worst[0], without_modulus(pair, overlap))
-            for name, value in required_moduli(_solids(scene), pair.materials, factor).items():
+            for name, value in required_moduli(_solids(scene.materials), pair.materials, factor).items():
                 moduli[name] = max(moduli.get(name, 0.0), value)
     return _Largest(worst[1], worst[0], modulus_text(moduli))
 
 
-def _solids(scene: Scene) -> dict[str, Solid]:
-    return {name: Solid(each.young_modulus, each.poisson_ratio, each.density) for name, each in scene.materials.items()}
+def _solids(materials: Mapping[str, Material]) -> dict[str, Solid]:
+    return {name: Solid(each.young_modulus, each.poisson_ratio, each.density) for name, each in materials.items()}
 
 
 def _above(scene: Scene) -> str:

@@ -48,7 +48,7 @@ def _both(first: str, second: str) -> str:
 def _of_particles(scene: Scene, name: str, group: Group, other: Group, sizes: tuple[float, float]) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii = np.array(sizes) / 2.0
-    densities = [solid(scene, each.material).density for each in (group, other)]
+    densities = [solid(scene.materials, each.material).density for each in (group, other)]
     masses = 4.0 / 3.0 * np.pi * radii**3 * densities
     inverse = sum(0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True))
     pair = pair_material(scene, group.material, other.material)
@@ -61,6 +61,6 @@ def _of_particles(scene: Scene, name: str, group: Group, other: Group, sizes: tu
 def _of_wall(scene: Scene, name: str, group: Group, wall: str) -> TouchingPair:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size (Hertz)."""
     radius = 0.5 * diameter_range(group)[0]
-    mass = 4.0 / 3.0 * np.pi * radius**3 * solid(scene, group.material).density
+    mass = 4.0 / 3.0 * np.pi * radius**3 * solid(scene.materials, group.material).density
     pair = pair_material(scene, group.material, wall)
     return TouchingPair(f"particles of {name} and walls of {wall}", (group.material, wall), pair, radius, radius, mass)

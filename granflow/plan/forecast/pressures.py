@@ -1,6 +1,6 @@
 """Static pressures of a scene, of the weight of the bed and of force-controlled walls, and their contact forces."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import log, pi
 from typing import Literal
@@ -69,7 +69,7 @@ def bed_pressures(
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
         yield BedPressure("weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts)
     for motion in controlled:
-        area = area_of(walls[motion.wall].shape) or section(scene, motion.direction)
+        area = area_of(walls[motion.wall].shape) or section(scene.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
             cause = f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
@@ -95,9 +95,9 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
         if group.fixed or not magnitude:
             continue
         area = _section_of(scene, group, gravity / magnitude)
-        total += magnitude * group.count * mean_volume(group) * solid(scene, group.material).density / area
+        total += magnitude * group.count * mean_volume(group) * solid(scene.materials, group.material).density / area
         largest_section = max(largest_section, area)
-        densest = max(densest, solid(scene, group.material).density)
+        densest = max(densest, solid(scene.materials, group.material).density)
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
@@ -111,9 +111,9 @@ def mean_volume(group: Group) -> float:
     return pi / 6.0 * float(np.mean(diameters**3))
 
 
-def solid_volume(scene: Scene) -> float:
+def solid_volume(particles: Mapping[str, Group]) -> float:
     """Volume [m3] of all particles."""
-    return sum(group.count * mean_volume(group) for group in scene.particles.values())
+    return sum(group.count * mean_volume(group) for group in particles.values())
 
 
 def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:
@@ -122,7 +122,7 @@ def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:
         x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
     if not isinstance(group.insert, LatticeInsertion | PackInsertion):
-        return section(scene, down)
+        return section(scene.domain, down)
     region = sampler_of(group.insert.region)
     if isinstance(region, BoxSampler):
         x, y, z = region.high - region.low

@@ -11,6 +11,7 @@ from granflow.plan.forecast.pressures import solid_volume
 from granflow.plan.forecast.times import nominal_times
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, StageTimes
+from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.motions import Servo
 
 LOOSEST = 0.45
@@ -41,7 +42,7 @@ def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Seque
         if not isinstance(given, Servo) or area is None:
             continue
         duration = _duration(given, times)
-        distance = _free_path(scene, walls, motion) - solid_volume(scene) / (LOOSEST * area)
+        distance = _free_path(scene.domain, walls, motion) - solid_volume(scene.particles) / (LOOSEST * area)
         free_velocity = motion.gain * abs(motion.force)
         travel = min(motion.velocity_max, free_velocity) * duration
         if travel < distance:
@@ -65,10 +66,10 @@ def _duration(given: Servo, times: StageTimes) -> float:
     return max(min(given.end if given.end is not None else inf, end) - (given.start or 0.0), 0.0)
 
 
-def _free_path(scene: Scene, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
+def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
     """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the domain."""
     direction = np.array(motion.direction)
-    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    low, high = np.array(domain.min), np.array(domain.max)
     center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         exits = np.where(direction > 0.0, (high - center) / direction, (low - center) / direction)

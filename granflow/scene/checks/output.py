@@ -166,7 +166,7 @@ def condition_columns(parts: PartialScene) -> Iterator[Fault]:
             path: KeyPath = ("stages", number, "until", index, "quantity")
             quantity, _, part = condition.quantity.partition(".")
             wall = parts.scene.walls.get(part)
-            if quantity in WALL_QUANTITIES and wall and not any(each.kind in ("servo", "free") for each in wall.motion):
+            if quantity in WALL_QUANTITIES and wall and not any(each.force_controlled for each in wall.motion):
                 yield Fault(path, f"{part} is neither a servo nor a free wall; its displacement follows from the time")
             elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
                 yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 from pydantic import Field
 
@@ -24,6 +24,9 @@ class TimedMotion(Model):
     Motions of the same wall are superposed; a wall has at most one rotation.
     """
 
+    force_controlled: ClassVar[bool] = False
+    """True for motions that respond to the force of the particles on the wall."""
+
     kind: str = Field(description="kind of motion")
     start: q.Time | None = Field(None, description="time at which the motion begins [s]; default: start of the run")
     end: q.Time | None = Field(None, description="time at which the motion ends [s]; default: end of the run")
@@ -35,6 +38,11 @@ class TimedMotion(Model):
             yield redundant("stages", "start or end", keep="either the times or the stages")
         elif self.end is not None and self.end <= (self.start or 0.0):
             yield Fault(("end",), f"the motion must end after its start at {self.start or 0.0:g} s")
+
+    def _ramp_faults(self, name: str, ramp_duration: float | None) -> Iterator[Fault]:
+        """Yield a fault for an initial value of the velocity `name` without ramp."""
+        if getattr(self, f"initial_{name}") is not None and ramp_duration is None:
+            yield missing(("ramp_duration",), f"the time during which initial_{name} changes to {name}")
 
 
 class Vibration(TimedMotion):
@@ -103,8 +111,7 @@ class VelocityMotion(TimedMotion):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an initial velocity without ramp."""
         yield from super().faults()
-        if self.initial_velocity is not None and self.ramp_duration is None:
-            yield missing(("ramp_duration",), "the time during which initial_velocity changes to velocity")
+        yield from self._ramp_faults("velocity", self.ramp_duration)
 
 
 class Translation(VelocityMotion):
@@ -155,9 +162,7 @@ class Rotation(TimedMotion):
     def faults(self) -> Iterator[Fault]:
         """Yield a fault for an initial angular velocity without ramp."""
         yield from super().faults()
-        if self.initial_angular_velocity is not None and self.ramp_duration is None:
-            reason = "the time during which initial_angular_velocity changes to angular_velocity"
-            yield missing(("ramp_duration",), reason)
+        yield from self._ramp_faults("angular_velocity", self.ramp_duration)
 
 
 TABLE_COLUMNS = {
@@ -246,6 +251,8 @@ class Servo(TimedMotion):
     2000.0
     """
 
+    force_controlled: ClassVar[bool] = True
+
     kind: Literal["servo"] = Field("servo", description="kind of motion")
     direction: q.Direction = Field(description="direction of the force on the particles; its length does not matter")
     force: q.PositiveForce | None = Field(None, description="prescribed force on the particles [N]")
@@ -276,6 +283,8 @@ class FreeWall(TimedMotion):
     >>> gf.FreeWall(direction=[0, 0, 1], mass="200 g").mass
     0.2
     """
+
+    force_controlled: ClassVar[bool] = True
 
     kind: Literal["free"] = Field("free", description="kind of motion")
     direction: q.Direction = Field(description="direction of the motion; its length does not matter")

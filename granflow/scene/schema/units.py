@@ -111,6 +111,14 @@ def to_si(text: str, dimension: str) -> float:
 
     Raises UnitError if the text is not a number, or the unit is unknown or of another dimension.
     """
+    exact = exact_si(text, dimension)
+    if isinstance(exact, float):
+        return exact
+    return float(exact) if abs(exact) < _LARGEST else math.inf if exact > 0 else -math.inf
+
+
+def exact_si(text: str, dimension: str) -> Fraction | float:
+    """The number of `to_si` without rounding; a float if it is zero, infinite or NaN. Raises UnitError."""
     expected = dimension_of(dimension)
     if _COMMA.search(text):
         raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
@@ -122,14 +130,25 @@ def to_si(text: str, dimension: str) -> float:
     factor = _factor(unit, dimension)
     if plain == 0 or not math.isfinite(plain):
         return plain
-    exact = (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
-    return float(exact) if abs(exact) < _LARGEST else math.copysign(math.inf, plain)
+    return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
 
 
 def unit_in(text: str) -> str:
     """Return the unit in a text such as "4 mm"; empty without one."""
     match = _AMOUNT.fullmatch(text)
     return (match.group(2) or "").strip() if match else ""
+
+
+def dimensions_with(unit: str) -> dict[str, Dimension]:
+    """The dimensions that have a unit, by name; none for an unknown unit."""
+    return {name: each for name, each in DIMENSIONS.items() if unit in each.units}
+
+
+def si_unit_of(unit: str) -> str:
+    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a unit."""
+    units = [{name for name, factor in each.units.items() if factor == 1} for each in dimensions_with(unit).values()]
+    common = set.intersection(*units) if units else set()
+    return unit if unit in common else min(common, default="")
 
 
 def seconds_of(name: str, time: float | str) -> float:
@@ -154,7 +173,7 @@ def _factor(unit: str, dimension: str) -> Fraction:
 
 def _any_factor(unit: str) -> Fraction:
     """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between dimensions."""
-    factors = {d.units[unit] for d in DIMENSIONS.values() if unit in d.units}
+    factors = {each.units[unit] for each in dimensions_with(unit).values()}
     if len(factors) == 1:
         return factors.pop()
     trouble = "is ambiguous" if factors else "is not a known unit"
@@ -163,7 +182,7 @@ def _any_factor(unit: str) -> Fraction:
 
 def _wrong_unit(unit: str, expected: Dimension) -> str:
     """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known unit."""
-    matching = [d.noun for d in DIMENSIONS.values() if unit in d.units]
+    matching = [each.noun for each in dimensions_with(unit).values()]
     if not expected.units or expected is DIMENSIONS["number"]:
         return f"{expected.noun} without a unit is expected, such as {expected.example}"
     if matching:

@@ -190,7 +190,7 @@ class BoxWall(Wall):
         if set(self.open) == set(FACES):
             yield Fault(("open",), "all six faces are open; leave one closed, or remove the wall")
         for i, motion in enumerate(self.motion):
-            if motion.kind in ("servo", "free"):
+            if motion.force_controlled:
                 reason = "moves one wall: replace the box by single walls, or open this face and add it as a rectangle"
                 yield whole(("motion", i), f"is of kind {motion.kind}, which {reason}")
 

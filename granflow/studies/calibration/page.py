@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
+from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
+from granflow.scene.schema.given_numbers import in_unit
 from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of
 from granflow.studies.calibration.schema import CalibrationInput
 from granflow.studies.figures import COLORS
 from granflow.studies.page import page_text
 from granflow.studies.report.plots import Plot, library
-from granflow.studies.sweep.axes import axis, last_key, layout, plain, row_of_axes
+from granflow.studies.sweep.axes import axis, layout, plain, row_of_axes, short_names
 from granflow.studies.tables import PageTable
 
 PAGE = "calibration.html"
@@ -33,10 +35,10 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, 
         targets=_targets(result),
         remarks=result.remarks,
         has_plots=bool(script),
-        convergence=_convergence(result),
+        convergence=_convergence(result, calibration),
         losses=_losses(result, calibration),
-        importance=_importance(result),
-        trials=_trials(result),
+        importance=_importance(result, calibration),
+        trials=_trials(result, calibration),
     )
     write_text(out / PAGE, text)
 
@@ -44,9 +46,7 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, 
 def _best(result: CalibrationResult) -> PageTable:
     """Best values with their standard deviations."""
     rows = [
-        (each.name, f"{each.value:.5g}", "–" if each.deviation != each.deviation else f"{each.deviation:.2g}",
-         "no" if each.not_identified else "yes")
-        for each in result.parameters
+        (each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters
     ]  # fmt: skip
     return PageTable(("parameter", "best value", "standard deviation", "identified"), rows)
 
@@ -57,13 +57,14 @@ def _targets(result: CalibrationResult) -> PageTable:
     return PageTable(("target", "quantity", "measured", "simulated", "deviation / tolerance"), rows)
 
 
-def _convergence(result: CalibrationResult) -> Plot:
+def _convergence(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
     """Loss of each completed trial, and the smallest loss so far."""
     trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
     numbers, losses = [trial.number for trial in trials], [trial.value for trial in trials]
     data = [
         {"type": "scatter", "mode": "markers", "name": "trial", "x": numbers, "y": [plain(each) for each in losses],
-         "hovertext": [_hover(trial) for trial in trials], "hoverinfo": "text", "marker": {"color": COLORS[5]}},
+         "hovertext": [_hover(trial, calibration) for trial in trials], "hoverinfo": "text",
+         "marker": {"color": COLORS[5]}},
         {"type": "scatter", "mode": "lines", "name": "smallest so far", "x": numbers, "line": {"shape": "hv"},
          "y": [plain(float(each)) for each in np.minimum.accumulate(losses)], "marker": {"color": COLORS[0]}},
     ]  # fmt: skip
@@ -77,13 +78,14 @@ def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
     """Loss over each parameter."""
     trials = [trial for trial in result.trials if trial.state.name == "COMPLETE"]
     data = [
-        {"type": "scatter", "mode": "markers", "x": [plain(trial.params[name]) for trial in trials],
-         "y": [plain(trial.value) for trial in trials], "hovertext": [_hover(trial) for trial in trials],
+        {"type": "scatter", "mode": "markers", "x": [plain(each.in_unit(trial.params[name])) for trial in trials],
+         "y": [plain(trial.value) for trial in trials], "hovertext": [_hover(trial, calibration) for trial in trials],
          "hoverinfo": "text", "xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y",
-         "marker": {"color": [trial.number for trial in trials], "colorscale": "Viridis", "size": 6}}
-        for k, name in enumerate(calibration.parameters)
+         "marker": {"color": [trial.number for trial in trials], "colorscale": "Viridis", "size": 7,
+                    "line": {"width": 1, "color": "#999999"}}}
+        for k, (name, each) in enumerate(calibration.parameters.items())
     ]  # fmt: skip
-    axes = row_of_axes([last_key(name) for name in calibration.parameters], "loss")
+    axes = row_of_axes(_labels(calibration), "loss")
     for key, each in axes.items():
         is_log = key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
         each["type"] = "log" if is_log else "linear"
@@ -92,21 +94,30 @@ def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
     })  # fmt: skip
 
 
-def _hover(trial: Any) -> str:
+def _labels(calibration: CalibrationInput) -> list[str]:
+    """Short name of each parameter with its unit."""
+    short = short_names(list(calibration.parameters))
+    return [
+        f"{short[name]} [{each.unit}]" if each.unit else short[name] for name, each in calibration.parameters.items()
+    ]
+
+
+def _hover(trial: Any, calibration: CalibrationInput) -> str:
     """Text at the pointer: number, loss, parameters and run directories of a trial."""
-    values = [f"{last_key(name)} = {value:.4g}" for name, value in trial.params.items()]
+    short = short_names(list(calibration.parameters))
+    values = [f"{short[name]} = {each.text(trial.params[name])}" for name, each in calibration.parameters.items()]
     runs = [f"runs/{name}" for name in runs_of(trial).values()]
     return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
 
 
-def _importance(result: CalibrationResult) -> Plot | None:
+def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plot | None:
     """Share of each parameter in the squared gradients of the residuals at the best values; None without a fit."""
     shares = [each.importance for each in result.parameters]
     if any(share != share for share in shares) or len(shares) < 2:
         return None
     data = {
         "type": "bar", "marker": {"color": COLORS[0]}, "y": [plain(share) for share in shares],
-        "x": [last_key(each.name) for each in result.parameters],
+        "x": list(short_names(list(calibration.parameters)).values()),
     }  # fmt: skip
     axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
     caption = (
@@ -115,17 +126,25 @@ def _importance(result: CalibrationResult) -> Plot | None:
     return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
-def _trials(result: CalibrationResult) -> PageTable:
+def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTable:
     """All trials: number, state, loss, parameters, simulated targets, runs and reasons."""
     rows = []
+    units = {name: "" if each.value is None else each.value.unit for name, each in calibration.targets.items()}
+    shown = {name: units[name] or unit_of(each.quantity) for name, each in calibration.targets.items()}
     for trial in result.trials:
         simulated = trial.user_attrs.get("simulated", {})
         loss = f"{trial.value:.4g}" if trial.state.name == "COMPLETE" else "–"
-        parameters = [f"{trial.params[each.name]:.4g}" if trial.params else "–" for each in result.parameters]
-        targets = [f"{simulated[each.name]:.4g}" if each.name in simulated else "–" for each in result.targets]
+        parameters = [
+            f"{each.in_unit(trial.params[name]):.4g}" if trial.params else "–"
+            for name, each in calibration.parameters.items()
+        ]
+        targets = [
+            f"{in_unit(simulated[name], unit):.4g}" if name in simulated else "–" for name, unit in units.items()
+        ]
         end = (" ".join(runs_of(trial).values()), trial.user_attrs.get("reason", ""))
         rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *end))
-    names = [last_key(each.name) for each in result.parameters]
-    return PageTable(
-        ("trial", "state", "loss", *names, *(each.name for each in result.targets), "runs", "reason"), rows
-    )
+    targets = [f"{name} [{unit}]" if unit else name for name, unit in shown.items()]
+    heads = ["trial", "state", "loss", *_labels(calibration), *targets, "runs", "reason"]
+    if not any(row[-1] for row in rows):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
+    return PageTable(heads, rows)

@@ -14,10 +14,10 @@ from granflow import Scene, load_scene
 from granflow.io.atomic_files import replacing, write_text
 from granflow.io.tables import write_table
 from granflow.studies.calibration.response import fewest_trials, fit_response, identification
-from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.calibration.schema import CalibrationInput, Parameter
 from granflow.studies.calibration.search import Search, deviation_in_units, settings_of
 from granflow.studies.calibration.targets import Measured, deviation, given_text
-from granflow.studies.run_processes.settings import overrides_of, si_value
+from granflow.studies.run_processes.settings import overrides_of
 
 FEWEST_TRIALS = 20
 """Smallest number of completed trials for a statement on conflicts."""
@@ -28,7 +28,8 @@ class BestValue:
     """Best value of a parameter with its standard deviation (nan without a fit).
 
     `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a fit; `not_identified`: a
-    sentence if the targets do not identify the parameter, otherwise empty.
+    sentence if the targets do not identify the parameter, otherwise empty; `shown`: texts of value and standard
+    deviation in the unit of the bounds.
     """
 
     name: str
@@ -36,6 +37,7 @@ class BestValue:
     deviation: float
     importance: float
     not_identified: str
+    shown: tuple[str, str]
 
 
 class BestTarget(NamedTuple):
@@ -108,18 +110,27 @@ def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[Be
     if response is None:
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
         return [
-            BestValue(name, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
-            for name in parameters
+            _best_value(name, each, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
+            for name, each in parameters.items()
         ]
     known = identification(response, u[best])
     return [
-        BestValue(
-            name, values[name], deviation_in_units(parameter, values[name], float(known.deviation[k])),
+        _best_value(
+            name, each, values[name], deviation_in_units(each, values[name], float(known.deviation[k])),
             float(known.importance[k]),
             known.statement(list(parameters), k),
         )
-        for k, (name, parameter) in enumerate(parameters.items())
+        for k, (name, each) in enumerate(parameters.items())
     ]  # fmt: skip
+
+
+def _best_value(
+    name: str, parameter: Parameter, value: float, error: float, importance: float, not_identified: str
+) -> BestValue:
+    """The best value of a parameter with its texts."""
+    return BestValue(
+        name, value, error, importance, not_identified, (parameter.text(value, 5), parameter.text(error, 2))
+    )
 
 
 def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
@@ -160,8 +171,7 @@ def write_best_scenes(
     """Write each scene with the best values, ready to run: `best.yaml`, or `best_NAME.yaml` of several scenes."""
     written = []
     for name, path in scenes.items():
-        settings = {key: si_value(value) for key, value in settings_of(calibration, name, values).items()}
-        scene = load_scene(path, overrides_of(settings))
+        scene = load_scene(path, overrides_of(settings_of(calibration, name, values)))
         target = out / ("best.yaml" if len(scenes) == 1 else f"best_{name}.yaml")
         write_text(target, scene.to_yaml())
         _copy_inputs(scene, out)

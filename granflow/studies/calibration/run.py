@@ -14,7 +14,7 @@ from granflow.io.machine import worker_count
 from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.calibration.page import write_calibration_page
 from granflow.studies.calibration.results import CalibrationResult, result_of, write_best_scenes, write_result
-from granflow.studies.calibration.schema import CalibrationInput
+from granflow.studies.calibration.schema import CalibrationInput, Target
 from granflow.studies.calibration.search import Search, from_unit, require_optuna
 from granflow.studies.calibration.targets import Measured, read_target
 from granflow.studies.calibration.trials import TrialRunner
@@ -63,9 +63,7 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
     if missing:
         raise FileError(missing)
     targets = {
-        each: read_target(
-            target, folder, str(document.value_position(("targets", each, "curve"))), _given(document, each)
-        )
+        each: read_target(target, folder, _position_of_target(document, each, target))
         for each, target in content.targets.items()
     }
     positions: dict[str, str] = {}
@@ -77,10 +75,9 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
     return CalibrationFile(content, name, scenes, targets, positions)
 
 
-def _given(document: Any, target: str) -> Any:
-    """The value of a target as in the file, a `Document`; None for a curve."""
-    node = document.find(("targets", target, "value"))
-    return None if node is None else node.data()
+def _position_of_target(document: Any, name: str, target: Target) -> str:
+    """Position of the file of a curve, otherwise of the quantity, in a `Document`."""
+    return str(document.value_position(("targets", name, "curve" if target.curve else "quantity")))
 
 
 def run_calibration(
@@ -153,7 +150,8 @@ class _Workers:
             if trial is None:
                 return
             state = self._runner.run(trial)
-            values = ", ".join(f"{name} {value:.4g}" for name, value in trial.params.items())
+            parameters = self._runner.search.calibration.parameters
+            values = ", ".join(f"{name} {parameters[name].text(value)}" for name, value in trial.params.items())
             self._report(f"trial {trial.number}: {values}: {state}")
 
     def _refuse_failures(self) -> None:

@@ -5,15 +5,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from granflow.fields import unit_of
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, missing, redundant, whole
 from granflow.scene.schema.fields import FileName, ListOf, Model, Name, Text
-from granflow.scene.schema.numbers import Number
+from granflow.scene.schema.given_numbers import (
+    GivenNumber,
+    GivenQuantity,
+    NumberWithUnit,
+    bound_faults,
+    in_unit,
+    mixed_units,
+    unit_conflict,
+)
 from granflow.scene.schema.scene import Seed
 from granflow.scene.suggest import suggestion_or_list
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
-Tolerance = Annotated[float, Number("any", noun="a tolerance", above=0)]
+Tolerance = Annotated[GivenNumber, NumberWithUnit("any", noun="a tolerance", above=0)]
 
 
 class CalibrationScene(Model):
@@ -26,18 +35,28 @@ class CalibrationScene(Model):
 class Parameter(Model):
     """A parameter to determine, between two bounds."""
 
-    start: q.AnyQuantity = Field(alias="from", description="lower bound")
-    stop: q.AnyQuantity = Field(alias="to", description="upper bound")
+    start: GivenQuantity = Field(alias="from", description="lower bound")
+    stop: GivenQuantity = Field(alias="to", description="upper bound")
     scale: Literal["linear", "log"] = Field("linear", description="scale of the search: linear or log")
     keys: Keys | None = Field(None, description="keys of all scenes that get the value; default: the name")
     keys_in: dict[Name, Keys] = Field({}, description="further keys by scene, which only this scene has")
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the upper bound is larger, and the lower one positive on a logarithmic scale."""
-        if not self.start < self.stop:
-            yield Fault(("to",), f"it must be larger than from, {self.start:g}")
-        if self.scale == "log" and self.start <= 0.0:
-            yield Fault(("from",), "it must be above 0 on a logarithmic scale, such as 1e-3")
+        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are positive."""
+        yield from bound_faults(self.start, self.stop, self.scale)
+
+    @property
+    def unit(self) -> str:
+        """The unit in which the bounds are given; empty: SI."""
+        return self.start.unit or self.stop.unit
+
+    def in_unit(self, value: float) -> float:
+        """The SI number `value` in the unit of the bounds."""
+        return in_unit(value, self.unit)
+
+    def text(self, value: float, digits: int = 4) -> str:
+        """Text of the SI number `value` in the unit of the bounds; a dash for NaN."""
+        return "–" if value != value else f"{self.in_unit(value):.{digits}g} {self.unit}".rstrip()
 
 
 class Target(Model):
@@ -45,7 +64,7 @@ class Target(Model):
 
     scene: Name = Field(description="name of the scene, in scenes")
     quantity: Text = Field(description="number of the result, or for a curve column of the time series")
-    value: q.AnyQuantity | None = Field(None, description="measured value")
+    value: GivenQuantity | None = Field(None, description="measured value")
     curve: FileName | None = Field(None, description="CSV file with the columns time [s] and value, SI")
     stage: Name | None = Field(
         None, description="with curve: stage whose beginning is time 0; default: that of the run"
@@ -54,13 +73,19 @@ class Target(Model):
     weight: q.Positive = Field(1.0, description="factor of the target in the loss")
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one of value and curve is given."""
+        """Yield a fault unless exactly one of value and curve is given, with the units of the quantity."""
         if self.value is None and self.curve is None:
             yield missing(("value",), "the measured value, or curve with a CSV file")
         if self.value is not None and self.curve is not None:
             yield redundant("value", "curve")
         if self.stage is not None and self.curve is None:
             yield Fault(("stage",), "it requires curve; remove stage")
+        if self.value is not None and (reason := mixed_units((self.value, self.tolerance))):
+            yield Fault(("tolerance",), reason)
+        for key in ("value", "tolerance"):
+            given = getattr(self, key)
+            if given is not None and (reason := unit_conflict(given.unit, unit_of(self.quantity))):
+                yield Fault((key,), f"{self.quantity} is {reason}")
 
 
 class Search(Model):

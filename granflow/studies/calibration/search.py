@@ -12,6 +12,7 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.io.lock import locked
+from granflow.scene.schema.given_numbers import in_si
 from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.schema import CalibrationInput, Parameter
 
@@ -198,6 +199,7 @@ def deviation_in_units(parameter: Parameter, value: float, share: float) -> floa
 
 
 def settings_of(calibration: CalibrationInput, scene: str, values: Mapping[str, float]) -> dict[str, Any]:
-    """Values of the keys of a scene for the values of the parameters, by key path."""
-    keys = {key: value for name, value in values.items() for key in calibration.keys_of(name, scene)}
+    """Values of the keys of a scene for values of the parameters [SI]; with a unit if the bounds have one."""
+    given = {name: in_si(value, calibration.parameters[name].unit) for name, value in values.items()}
+    keys = {key: value for name, value in given.items() for key in calibration.keys_of(name, scene)}
     return {**calibration.scenes[scene].settings, **keys}

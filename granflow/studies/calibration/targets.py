@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from granflow.errors import FileError
 from granflow.fields import unit_of
 from granflow.io.tables import read_table
 from granflow.io.time_series import TimeSeriesTable, read_series
-from granflow.scene.schema.units import to_si, unit_in
+from granflow.scene.schema.units import to_si
 from granflow.studies.calibration.schema import Target
 from granflow.studies.run_processes.outcome import numbers_of
 from granflow.studies.run_processes.quantities import error_name
@@ -30,7 +29,8 @@ CURVE_COLUMNS = ("time", "value")
 class Measured:
     """A target with its measured values: `time` (n,) [s] of a curve, or None for a single value; `value` (n,).
 
-    `unit`: in which the scene file gives the value; empty: SI. `factor`: SI value of this unit.
+    `unit`: in which the file gives the value; empty: SI. `factor`: SI value of this unit. `position`: of the quantity
+    in the file.
     """
 
     target: Target
@@ -38,6 +38,7 @@ class Measured:
     value: np.ndarray
     unit: str = ""
     factor: float = 1.0
+    position: str = ""
 
     @property
     def scale(self) -> float:
@@ -45,15 +46,16 @@ class Measured:
         return sqrt(self.target.weight / len(self.value)) / self.target.tolerance
 
 
-def read_target(target: Target, folder: Path, position: str, given: Any = None) -> Measured:
+def read_target(target: Target, folder: Path, position: str) -> Measured:
     """The target with its measured values; a curve is read from its file, relative to `folder`.
 
-    `position`: of the target in its file, for messages; `given`: its value there, such as "27 deg". Raises FileError
-    for an invalid table.
+    `position`: of the curve or the quantity in the file, for messages. Raises FileError for an invalid table.
     """
-    if target.curve is None:
-        unit = unit_in(given) if isinstance(given, str) else ""
-        return Measured(target, None, np.array([target.value], dtype=float), unit, to_si(f"1 {unit}".strip(), "any"))
+    if target.value is not None:
+        unit = target.value.unit
+        factor = to_si(f"1 {unit}".strip(), "any")
+        return Measured(target, None, np.array([target.value], dtype=float), unit, factor, position)
+    assert target.curve is not None
     path = folder / target.curve
     try:
         table = read_table(path)

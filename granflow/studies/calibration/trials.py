@@ -23,7 +23,7 @@ from granflow.studies.calibration.targets import (
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
 from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, numbers_of, read_json
 from granflow.studies.run_processes.process import execute
-from granflow.studies.run_processes.settings import relocated, si_value
+from granflow.studies.run_processes.settings import relocated
 
 CHECK_INTERVAL = 2.0
 """Interval [s] at which the time series of a run is compared with the targets."""
@@ -69,8 +69,9 @@ class TrialRunner:
 
     def _checked(self, scene: str, values: Mapping[str, float]) -> CheckedRun:
         """A checked run of a scene."""
-        settings = {key: si_value(value) for key, value in settings_of(self._calibration, scene, values).items()}
-        read = [each.target.quantity for each in self._targets_of(scene).values() if each.time is None]
+        settings = settings_of(self._calibration, scene, values)
+        targets = self._targets_of(scene).values()
+        read = {each.target.quantity: each.position for each in targets if each.time is None}
         return checked_run(self.scenes[scene], settings, read, self.common)
 
     def _targets_of(self, scene: str) -> dict[str, Measured]:

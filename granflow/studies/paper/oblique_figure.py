@@ -26,7 +26,8 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
             "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
             "patch. Bottom: tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
             "sticks temporarily, the published curve of test 5 corresponds to half the tangential stiffness (a plate "
-            "rigid along its normal only); the curves of tests 6 and 8 are not reproduced."
+            "rigid along its normal only), and those of tests 6 and 8 to a tangential dashpot, tension at the end of "
+            "the contact, and a friction limit without the viscous part of the normal force."
         ),
         columns=_columns(run),
         deviations=_deviations(run),

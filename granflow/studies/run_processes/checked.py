@@ -1,12 +1,13 @@
 """Runs checked before they start: resolved scene, plan, directory by the hash of the scene, and set of kernels."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from granflow import GranflowError, Plan, Scene, load_scene, plan_for
+from granflow import Plan, Scene, load_scene, plan_for
+from granflow.errors import FileError
 from granflow.studies.run_processes.process import RunRequest
 from granflow.studies.run_processes.quantities import unknown_quantity
 from granflow.studies.run_processes.settings import overrides_of
@@ -44,22 +45,23 @@ class RunSettings:
 
 
 def checked_run(
-    path: Path, settings: Mapping[str, Any], read: Sequence[str], common: RunSettings, seed_offset: int = 0
+    path: Path, settings: Mapping[str, Any], read: Mapping[str, str], common: RunSettings, seed_offset: int = 0
 ) -> CheckedRun:
     """Check a run of the scene in a file with other values of some keys, by key path.
 
-    `read`: numbers of the result that are needed; `seed_offset`: added to the seed of the scene. Raises GranflowError
-    if the scene with these values is invalid, has no such number, or needs particles of a program.
+    `read`: numbers of the result that are needed, and the position of each in its file; `seed_offset`: added to the
+    seed of the scene. Raises SceneError if the scene with these values is invalid, FileError if it has no such number
+    or needs particles of a program.
     """
     overrides = overrides_of(settings)
     scene = load_scene(path, overrides)
     if seed_offset:
         overrides = (*overrides, f"seed={scene.seed + seed_offset}")
         scene = load_scene(path, overrides)
-    problems = [reason for name in read if (reason := unknown_quantity(name, scene))]
+    problems = [f"{position}: {reason}" for name, position in read.items() if (reason := unknown_quantity(name, scene))]
     problems += scene.problems_without_program()
     if problems:
-        raise GranflowError(" ".join(problems))
+        raise FileError(problems)
     directory = (common.runs / scene_hash(scene, common.arch)).resolve()
     request = RunRequest(
         str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve())

@@ -1,5 +1,6 @@
 """Workers as jobs of a batch system, through dask-jobqueue."""
 
+import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,9 @@ from granflow.scene.validated_file import validated_file
 
 SYSTEMS = {"slurm": "SLURMCluster", "pbs": "PBSCluster", "lsf": "LSFCluster", "sge": "SGECluster"}
 """Batch systems, and their classes in dask-jobqueue."""
+
+SUBMIT = {"slurm": "sbatch", "pbs": "qsub", "lsf": "bsub", "sge": "qsub"}
+"""Command of each batch system that submits a job."""
 
 Lines = Annotated[tuple[Text, ...], ListOf(one=True)]
 
@@ -38,7 +42,8 @@ def read_profile(path: Path) -> BatchProfile:
 def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) -> Any:
     """A Dask cluster whose workers are jobs of a batch system; each run has `threads` threads.
 
-    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue or with too few cores per job.
+    `path`: file of the profile, for messages. Raises GranflowError without dask-jobqueue, with too few cores per job,
+    or where the batch system is not installed.
     """
     try:
         import dask_jobqueue
@@ -49,6 +54,11 @@ def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) 
     if threads > profile.cores:
         raise GranflowError(
             f"{path}: cores is {profile.cores}, but one run needs {threads}: give at most that --threads."
+        )
+    if shutil.which(SUBMIT[system]) is None:
+        raise GranflowError(
+            f"--{system} requires the command {SUBMIT[system]}, which this machine does not have: run granflow sweep "
+            "where batch jobs are submitted, or without this option."
         )
     cluster = getattr(dask_jobqueue, SYSTEMS[system])(**cluster_options(system, profile, threads))
     cluster.scale(jobs=profile.jobs)

@@ -11,6 +11,7 @@ from typing import Any
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.studies.run_processes.cluster import batch_cluster, read_profile
+from granflow.visible_text import numbered
 
 CONNECT_TIMEOUT = 20.0
 """Time limit [s] for a connection to a scheduler."""
@@ -57,8 +58,9 @@ def local_jobs(jobs: int | None, threads: int, cores: int) -> int:
     if needed > cores:
         most = f"give at most --jobs {cores // threads}" if threads <= cores else f"give at most --threads {cores}"
         available = "1 core is" if cores == 1 else f"{cores} cores are"
+        runs, verb = numbered(jobs or 1, "run"), "need" if jobs and jobs > 1 else "needs"
         raise GranflowError(
-            f"{jobs or 1} runs of {threads} threads need {needed} cores, but {available} there: {most}."
+            f"{runs} of {numbered(threads, 'thread')} {verb} {numbered(needed, 'core')}, but {available} there: {most}."
         )
     return jobs or cores // threads
 

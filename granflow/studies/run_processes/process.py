@@ -34,7 +34,6 @@ MESSAGES = "stderr.txt"
 """File in the directory of a run with the messages of its last process."""
 
 REFUSAL, ABORT = GranflowError.exit_code, RunError.exit_code
-OUTPUT_ERROR = 4
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,17 @@
-"""Values of scene keys that studies set: SI numbers where possible, and their notation for `--set`."""
+"""Values of scene keys that studies set: their SI numbers, and their notation for `--set`."""
 
 import json
 from collections.abc import Mapping
 from typing import Any
 
 from granflow.errors import FileError, SceneError
-from granflow.scene.schema.units import UnitError, to_si
+from granflow.scene.schema.given_numbers import number_of
 
 
 def si_value(value: Any) -> Any:
     """The SI number of text with a unit such as "9 mm"; other values unchanged."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return to_si(value, "any")
-    except UnitError:
-        return value
+    number = number_of(value) if isinstance(value, str) else None
+    return value if number is None else float(number)
 
 
 def overrides_of(settings: Mapping[str, Any]) -> tuple[str, ...]:

@@ -53,6 +53,16 @@ def plain(value: Any, digits: int = 6) -> Any:
     return float(f"{value:.{digits}g}") if isfinite(value) else None
 
 
-def last_key(name: str) -> str:
-    """Short name of a parameter for an axis: the last two keys of its path."""
-    return ".".join(name.split(".")[-2:])
+def level_text(value: Any, digits: int = 6) -> str:
+    """Text of a value of a parameter: 18 for the float 18.0, and other values as they are."""
+    number = plain(value, digits)
+    return f"{number:.{digits}g}" if isinstance(number, int | float) else str(value)
+
+
+def short_names(names: Sequence[str]) -> dict[str, str]:
+    """Short name of each parameter for an axis: the last two keys of its path, or as many as make all different."""
+    for count in range(2, max(1, *(name.count(".") for name in names)) + 2):
+        found = {name: ".".join(name.split(".")[-count:]) for name in names}
+        if len(set(found.values())) == len(found):
+            break
+    return found

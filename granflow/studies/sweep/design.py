@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
+from granflow.scene.schema.given_numbers import in_si
 from granflow.studies.run_processes.settings import si_value
 from granflow.studies.sweep.schema import Grid, LatinHypercube, SobolSampling, SweepInput, ValueList, ValueRange
 
 
 @dataclass(frozen=True)
 class DesignPoint:
-    """One point: value of each parameter by its name, and value of each key of the scene."""
+    """One point: value of each parameter by its name, SI, and value of each key of the scene, which may have a unit."""
 
     values: Mapping[str, Any]
     settings: Mapping[str, Any]
@@ -32,8 +33,9 @@ class _Level(NamedTuple):
 def design_points(sweep: SweepInput) -> list[DesignPoint]:
     """All points in a fixed order; of a grid, the last parameter varies fastest.
 
-    Values are SI numbers where the text is a number with a unit. The points of a Sobol sampling are in the order of
-    SALib without second-order indices: for each base point A, each A with one value of B, and B.
+    Values of parameters are SI numbers where the text is a number with a unit; the scene gets values with units, so
+    that it refuses those of another dimension. The points of a Sobol sampling are in the order of SALib without
+    second-order indices: for each base point A, each A with one value of B, and B.
     """
     if isinstance(sweep.sampling, Grid):
         levels = [list(_grid_levels(name, variation)) for name, variation in sweep.vary.items()]
@@ -46,7 +48,7 @@ def design_points(sweep: SweepInput) -> list[DesignPoint]:
 
 def _point(sweep: SweepInput, levels: Any) -> DesignPoint:
     """The point with one level of each parameter."""
-    settings = {key: si_value(value) for key, value in sweep.settings.items()}
+    settings = dict(sweep.settings)
     for level in levels:
         settings.update(level.settings)
     return DesignPoint({name: level.value for name, level in zip(sweep.vary, levels, strict=True)}, settings)
@@ -83,7 +85,8 @@ def _level_at(name: str, variation: Any, share: float | Fraction) -> _Level:
     """The value at a fraction `share` of the range, or of the list, in which all values are equally probable."""
     if isinstance(variation, ValueRange):
         value = value_at(variation, share)
-        return _Level(value, dict.fromkeys(variation.keys or (name,), value))
+        given = in_si(value, variation.start.unit or variation.stop.unit)
+        return _Level(value, dict.fromkeys(variation.keys or (name,), given))
     values = variation.values if isinstance(variation, ValueList) else variation
     return _listed(name, variation, int(share * len(values)))
 
@@ -95,24 +98,25 @@ SHORT = 9
 def value_at(bounds: ValueRange, share: float | Fraction) -> float:
     """The value at a fraction of a range; fractions 0 and 1 give the bounds exactly.
 
-    Linear values are those of exact arithmetic with the decimals of the bounds: 0.3, not 0.30000000000000004.
+    Linear values are those of exact arithmetic with the decimals of the bounds: 0.3, not 0.30000000000000004, and
+    between 10 deg and 30 deg the same number as for 20 deg.
     Logarithmic values that differ from a decimal of SHORT digits by rounding only are that decimal.
     """
     if share in (0.0, 1.0):
-        return bounds.stop if share else bounds.start
+        return float(bounds.stop if share else bounds.start)
     if bounds.scale == "log":
         value = float(bounds.start * (bounds.stop / bounds.start) ** float(share))
         short = float(f"{value:.{SHORT}g}")
         return short if abs(short - value) <= 4.0 * ulp(value) else value
-    start, stop = (Fraction(repr(float(each))) for each in (bounds.start, bounds.stop))
+    start, stop = bounds.start.exact, bounds.stop.exact
     return float(start + Fraction(share) * (stop - start))
 
 
 def _listed(name: str, variation: Any, index: int) -> _Level:
     """The value of a list at an index, and the values that change with it."""
     if not isinstance(variation, ValueList):
-        value = si_value(variation[index])
-        return _Level(value, {name: value})
-    value = si_value(variation.values[index])
-    along = {key: si_value(values[index]) for key, values in variation.along.items()}
-    return _Level(value, dict.fromkeys(variation.keys or (name,), value) | along)
+        value = variation[index]
+        return _Level(si_value(value), {name: value})
+    value = variation.values[index]
+    along = {key: values[index] for key, values in variation.along.items()}
+    return _Level(si_value(value), dict.fromkeys(variation.keys or (name,), value) | along)

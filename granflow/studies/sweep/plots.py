@@ -1,18 +1,18 @@
 """Interactive plots of a sweep: main effects, scatter matrix, heat maps, parallel coordinates, Sobol indices."""
 
+import re
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from granflow.fields import unit_of
 from granflow.studies.figures import COLORS
 from granflow.studies.report.plots import Plot
-from granflow.studies.sweep.axes import COLOR_SCALE, axis, last_key, layout, plain, row_of_axes
+from granflow.studies.sweep.axes import COLOR_SCALE, axis, layout, level_text, plain, row_of_axes
 from granflow.studies.sweep.sensitivity import SobolIndices
-from granflow.studies.sweep.table import PointRow, SweepTable, label
-from granflow.visible_text import in_degrees
+from granflow.studies.sweep.shown import ShownTable
+from granflow.studies.sweep.table import PointRow
 
 MOST_LEVELS = 12
 """Largest number of values of a parameter with a mean of their own; more are combined in BINS intervals."""
@@ -29,47 +29,44 @@ HEIGHT, MATRIX_CELL = 340, 150
 """Height of a plot, and of a row of the scatter matrix [pixels]."""
 
 
-def hover(row: PointRow, table: SweepTable) -> str:
+def hover(row: PointRow, table: ShownTable) -> str:
     """Text at the pointer: parameters, quantities and run directories."""
-    lines = [f"{last_key(name)} = {plain(row.point.values[name], 4)}" for name in table.parameters]
-    lines += [
-        f"{label(name)} = {plain(row.mean(name), 4)}{in_degrees(row.mean(name), unit_of(name))}"
-        for name in table.quantities
-    ]
+    lines = [f"{table.parameter_label(name)} = {level_text(table.value(row, name), 4)}" for name in table.parameters]
+    lines += [f"{table.label(name)} = {plain(table.mean(row, name), 4)}" for name in table.quantities]
     return "<br>".join([*lines, *(f"runs/{name}" for name in row.directories)])
 
 
-def usable_rows(table: SweepTable) -> list[PointRow]:
+def usable_rows(table: ShownTable) -> list[PointRow]:
     """The rows with at least one number."""
-    return [row for row in table.rows if any(np.isfinite(row.mean(name)) for name in table.quantities)]
+    return [row for row in table.rows if any(np.isfinite(table.mean(row, name)) for name in table.quantities)]
 
 
-def main_effects(table: SweepTable, quantity: str) -> Plot:
+def main_effects(table: ShownTable, quantity: str) -> Plot:
     """Points, and mean over all points with the same value of a parameter, one plot for each parameter."""
-    rows = [row for row in table.rows if np.isfinite(row.mean(quantity))]
+    rows = [row for row in table.rows if np.isfinite(table.mean(row, quantity))]
     data: list[dict[str, Any]] = []
     binned = False
     for k, name in enumerate(table.parameters):
         axes = {"xaxis": f"x{k + 1}" if k else "x", "yaxis": f"y{k + 1}" if k else "y"}
-        values = [plain(row.point.values[name]) for row in rows]
+        values = [plain(table.value(row, name)) for row in rows]
         data.append(
-            {"type": "scatter", "mode": "markers", "x": values, "y": [plain(row.mean(quantity)) for row in rows],
+            {"type": "scatter", "mode": "markers", "x": values, "y": [plain(table.mean(row, quantity)) for row in rows],
              "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6}, "hoverinfo": "text",
              "hovertext": [hover(row, table) for row in rows], **axes}
         )  # fmt: skip
-        data.append({**_mean_line(values, rows, quantity), **axes})
+        data.append({**_mean_line(table, values, rows, quantity), **axes})
         binned = binned or len(_groups(values)) < len(set(values))
-    titles = [last_key(name) for name in table.parameters]
+    titles = [table.parameter_label(name) for name in table.parameters]
     has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
     caption = (
-        f"{label(quantity)}: mean over all points with the same value of a parameter"
+        f"{table.label(quantity)}: mean over all points with the same value of a parameter"
         f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
         ", and all points (light)"
     )
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, label(quantity)))})
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, table.label(quantity)))})
 
 
-def _mean_line(values: Sequence[Any], rows: Sequence[PointRow], quantity: str) -> dict[str, Any]:
+def _mean_line(table: ShownTable, values: Sequence[Any], rows: Sequence[PointRow], quantity: str) -> dict[str, Any]:
     """Means with standard errors over the values of one parameter.
 
     The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its points.
@@ -77,8 +74,8 @@ def _mean_line(values: Sequence[Any], rows: Sequence[PointRow], quantity: str) -
     groups = _groups(values)
     means, errors, positions = [], [], []
     for position, members in groups:
-        numbers = np.array([rows[k].mean(quantity) for k in members])
-        seeds = np.array([rows[k].standard_error(quantity) for k in members])
+        numbers = np.array([table.mean(rows[k], quantity) for k in members])
+        seeds = np.array([table.standard_error(rows[k], quantity) for k in members])
         binned = len({values[k] for k in members}) > 1
         scatter = numbers.std(ddof=1) / np.sqrt(len(numbers)) if len(numbers) > 1 and binned else np.nan
         from_seeds = float(np.sqrt((seeds**2).sum())) / len(seeds)
@@ -103,14 +100,14 @@ def _groups(values: Sequence[Any]) -> list[tuple[Any, list[int]]]:
     return [(plain(float(np.mean([values[k] for k in each]))), each) for each in members if each]
 
 
-def scatter_matrix(table: SweepTable) -> Plot:
+def scatter_matrix(table: ShownTable) -> Plot:
     """Each parameter and quantity against each other."""
     rows = usable_rows(table)
     dimensions = [
-        {"label": last_key(name).replace(".", ".<br>"), "values": [plain(row.point.values[name]) for row in rows]}
+        {"label": _in_lines(table.parameter_label(name)), "values": [plain(table.value(row, name)) for row in rows]}
         for name in table.parameters
     ] + [
-        {"label": name.replace(".", ".<br>"), "values": [plain(row.mean(name)) for row in rows]}
+        {"label": _in_lines(table.label(name)), "values": [plain(table.mean(row, name)) for row in rows]}
         for name in table.quantities
     ]
     data = {
@@ -118,55 +115,72 @@ def scatter_matrix(table: SweepTable) -> Plot:
         "marker": {"color": COLORS[0], "size": 4, "opacity": 0.7}, "diagonal": {"visible": False},
         "showupperhalf": False,
     }  # fmt: skip
-    height = MATRIX_CELL * len(dimensions) + 90
-    caption = "All parameters and quantities against each other (SI units)"
-    return Plot(caption, {"data": [data], "layout": layout(height)})
+    look = layout(MATRIX_CELL * len(dimensions) + 110)
+    look |= {"margin": look["margin"] | {"b": 100}, "font": look["font"] | {"size": 10}}
+    return Plot("All parameters and quantities against each other", {"data": [data], "layout": look})
 
 
-def heat_maps(table: SweepTable) -> list[Plot]:
+def _in_lines(text: str) -> str:
+    """A label with its parts in lines of their own, so that those of narrow plots do not overlap."""
+    return re.sub(r"(\.|_| (?=\[))", r"\1<br>", text)
+
+
+def heat_maps(table: ShownTable) -> list[Plot]:
     """Each quantity over each two parameters of a grid, averaged over the other parameters."""
     levels = {
-        name: list(dict.fromkeys(plain(row.point.values[name]) for row in table.rows)) for name in table.parameters
+        name: list(dict.fromkeys(plain(table.value(row, name)) for row in table.rows)) for name in table.parameters
     }
     pairs = list(combinations(table.parameters, 2))[:MOST_HEAT_MAPS]
     small = [pair for pair in pairs if len(levels[pair[0]]) * len(levels[pair[1]]) <= len(table.rows)]
     return [_heat_map(table, quantity, *pair, levels) for quantity in table.quantities for pair in small]
 
 
-def _heat_map(table: SweepTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]) -> Plot:
+def _heat_map(table: ShownTable, quantity: str, first: str, second: str, levels: dict[str, list[Any]]) -> Plot:
     """One quantity over two parameters."""
     cells: dict[tuple[Any, Any], list[PointRow]] = {}
     for row in table.rows:
-        cells.setdefault((plain(row.point.values[first]), plain(row.point.values[second])), []).append(row)
+        cells.setdefault((plain(table.value(row, first)), plain(table.value(row, second))), []).append(row)
 
     def mean(x: Any, y: Any) -> float | None:
-        values = [value for row in cells.get((x, y), ()) if np.isfinite(value := row.mean(quantity))]
+        values = [value for row in cells.get((x, y), ()) if np.isfinite(value := table.mean(row, quantity))]
         return plain(float(np.mean(values))) if values else None
 
     def text(x: Any, y: Any) -> str:
         members = cells.get((x, y), [])
         return hover(members[0], table) if len(members) == 1 else f"mean of {len(members)} points"
 
-    names = [[str(each) for each in levels[name]] for name in (first, second)]
+    means = [[mean(x, y) for x in levels[first]] for y in levels[second]]
+    names = [[level_text(each) for each in levels[name]] for name in (first, second)]
     data = {
         "type": "heatmap", "x": names[0], "y": names[1], "colorscale": COLOR_SCALE, "hoverinfo": "text+z",
-        "z": [[mean(x, y) for x in levels[first]] for y in levels[second]],
+        "z": means,
         "text": [[text(x, y) for x in levels[first]] for y in levels[second]],
-        "colorbar": {"title": {"text": label(quantity)}},
+        "colorbar": _color_bar(table.label(quantity), [value for line in means for value in line if value is not None]),
     }  # fmt: skip
-    axes = {"xaxis": axis(last_key(first), type="category"), "yaxis": axis(last_key(second), type="category")}
-    caption = f"{label(quantity)} over {first} and {second}"
+    axes = {
+        "xaxis": axis(table.parameter_label(first), type="category"),
+        "yaxis": axis(table.parameter_label(second), type="category"),
+    }
+    caption = f"{table.label(quantity)} over {first} and {second}"
     return Plot(caption, {"data": [data], "layout": layout(HEIGHT, **axes)})
 
 
-def parallel_coordinates(table: SweepTable) -> Plot:
+def _color_bar(title: str, values: Sequence[float]) -> dict[str, Any]:
+    """A narrow color bar; equal values have one label, where plotly would show a range of 1 about 0."""
+    bar: dict[str, Any] = {"title": {"text": title, "side": "right"}, "thickness": 14}
+    if len(set(values)) == 1:
+        bar |= {"tickvals": [values[0]], "ticktext": [level_text(values[0], 4)]}
+    return bar
+
+
+def parallel_coordinates(table: ShownTable) -> Plot:
     """One line per point over all parameters and quantities, each scaled to its range; color: the first quantity."""
     rows = usable_rows(table)
     shown = rows[:: -(-len(rows) // MOST_LINES)]
-    columns = {last_key(name): [row.point.values[name] for row in rows] for name in table.parameters}
-    columns |= {label(name): [row.mean(name) for row in rows] for name in table.quantities}
+    columns = {table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters}
+    columns |= {table.label(name): [table.mean(row, name) for row in rows] for name in table.quantities}
     shares = {name: dict(zip(map(id, rows), _shares(values), strict=True)) for name, values in columns.items()}
-    names, color = list(columns), label(table.quantities[0])
+    names, color = list(columns), table.label(table.quantities[0])
     data = [
         {"type": "scatter", "mode": "lines+markers", "x": names, "y": [shares[name][id(row)] for name in names],
          "line": {"color": _color(shares[color][id(row)]), "width": 1.5}, "marker": {"size": 5},
@@ -197,10 +211,10 @@ def _shares(values: Sequence[Any]) -> list[float | None]:
     return [plain(float(each)) for each in (numbers - low) / (high - low if high > low else 1.0)]
 
 
-def _end(values: Sequence[Any], end: Any) -> Any:
+def _end(values: Sequence[Any], end: Any) -> str:
     """Smallest or largest of the values that are numbers; of text the first or last in the alphabet."""
     numbers = [each for each in values if isinstance(each, int | float) and each == each]
-    return plain(end(numbers), 3) if numbers else end(map(str, values), default="")
+    return level_text(end(numbers), 3) if numbers else end(map(str, values), default="")
 
 
 def _color(share: float | None) -> str:
@@ -211,15 +225,15 @@ def _color(share: float | None) -> str:
     return "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(low, high, strict=True))
 
 
-def sobol_plot(table: SweepTable, indices: SobolIndices) -> Plot:
+def sobol_plot(table: ShownTable, indices: SobolIndices) -> Plot:
     """First-order and total indices of one quantity, with their 95 % confidence intervals."""
-    names = [last_key(name) for name in table.parameters]
+    names = [table.short_name(name) for name in table.parameters]
     bars = (("first order", indices.first, indices.first_interval), ("total", indices.total, indices.total_interval))
     data = [
         {"type": "bar", "name": name, "x": names, "y": [plain(float(v)) for v in values],
          "error_y": {"type": "data", "array": [plain(float(v)) for v in interval]}, "marker": {"color": COLORS[k]}}
         for k, (name, values, interval) in enumerate(bars)
     ]  # fmt: skip
-    caption = f"Sobol indices of {label(indices.quantity)} with 95 % confidence intervals"
+    caption = f"Sobol indices of {table.label(indices.quantity)} with 95 % confidence intervals"
     axes = {"xaxis": axis(""), "yaxis": axis("share of the variance")}
     return Plot(caption, {"data": data, "layout": layout(HEIGHT, barmode="group", **axes) | {"showlegend": True}})

@@ -33,12 +33,16 @@ Points = Sequence[tuple[DesignPoint, Sequence[CheckedRun | str]]]
 
 @dataclass(frozen=True)
 class SweepFile:
-    """A valid sweep: its content, the scene file, its name, and the position of each varied or set key of the scene."""
+    """A valid sweep: its content, the scene file, its name, and positions in the sweep file.
+
+    `positions`: of each varied or set key of the scene; `read`: of each number that is read.
+    """
 
     content: SweepInput
     scene: Path
     name: str
     positions: Mapping[str, str] = field(default_factory=dict)
+    read: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any], folder: Path | None = None) -> SweepFile:
@@ -59,7 +63,8 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any], folder: Path 
     positions = {key: str(document.key_position(("set", key))) for key in content.settings}
     for parameter, variation in content.vary.items():
         positions |= dict.fromkeys(keys_of(parameter, variation), str(document.key_position(("vary", parameter))))
-    return SweepFile(content, scene, name, positions)
+    read = {each: str(document.value_position(("read", k))) for k, each in enumerate(content.read)}
+    return SweepFile(content, scene, name, positions, read)
 
 
 def checked_points(sweep: SweepFile, common: RunSettings) -> Points:
@@ -80,7 +85,7 @@ def checked_points(sweep: SweepFile, common: RunSettings) -> Points:
 def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_offset: int) -> CheckedRun | str:
     """A checked run, or the reason why it is refused."""
     try:
-        return checked_run(sweep.scene, point.settings, sweep.content.read, common, seed_offset)
+        return checked_run(sweep.scene, point.settings, sweep.read, common, seed_offset)
     except SceneError as error:
         return " ".join(relocated(error, sweep.positions).problems)
     except GranflowError as error:

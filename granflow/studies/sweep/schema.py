@@ -8,6 +8,7 @@ from pydantic import Field, Tag
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, missing, whole
 from granflow.scene.schema.fields import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
+from granflow.scene.schema.given_numbers import GivenQuantity, bound_faults, mixed_units
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.scene import Seed
 
@@ -19,18 +20,15 @@ SeedCount = Annotated[int, Number(noun="a number of seeds", at_least=1, at_most=
 class ValueRange(Model):
     """Values of a parameter between two bounds, evenly spaced or on a logarithmic scale."""
 
-    start: q.AnyQuantity = Field(alias="from", description="lower bound")
-    stop: q.AnyQuantity = Field(alias="to", description="upper bound")
+    start: GivenQuantity = Field(alias="from", description="lower bound")
+    stop: GivenQuantity = Field(alias="to", description="upper bound")
     count: q.Count | None = Field(None, description="number of values, both bounds included; only in a grid")
     scale: Literal["linear", "log"] = Field("linear", description="spacing of the values: linear or log")
     keys: Keys | None = Field(None, description="keys of the scene that get the value; default: the parameter name")
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault unless the upper bound is larger, and the lower one positive on a logarithmic scale."""
-        if not self.start < self.stop:
-            yield Fault(("to",), f"it must be larger than from, {self.start:g}")
-        if self.scale == "log" and self.start <= 0.0:
-            yield Fault(("from",), "it must be above 0 on a logarithmic scale, such as 1e-3")
+        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are positive."""
+        yield from bound_faults(self.start, self.stop, self.scale)
 
 
 class ValueList(Model):
@@ -43,7 +41,9 @@ class ValueList(Model):
     )
 
     def faults(self) -> Iterator[Fault]:
-        """Yield a fault for each list of other values that has another length."""
+        """Yield a fault for values of different dimensions, and for each list of other values of another length."""
+        if reason := mixed_units(self.values):
+            yield Fault(("values",), reason)
         for key, values in self.along.items():
             if len(values) != len(self.values):
                 needed = f"it needs {len(self.values)} values, one for each value of the parameter"
@@ -126,6 +126,8 @@ class SweepInput(Model):
             yield missing(("vary",), "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5]")
         gridded = isinstance(self.sampling, Grid)
         for name, variation in self.vary.items():
+            if isinstance(variation, tuple) and (reason := mixed_units(variation)):
+                yield Fault(("vary", name), reason)
             if not isinstance(variation, ValueRange):
                 continue
             if gridded and variation.count is None:

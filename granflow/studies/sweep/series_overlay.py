@@ -1,8 +1,8 @@
 """Time series of several runs in one plot; a menu selects the quantity, the legend the runs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.figures import COLORS
@@ -20,23 +20,31 @@ HEIGHT = 460
 """Height of the plot [pixels]."""
 
 
-def series_overlay(runs: Mapping[str, Path], first: Sequence[str]) -> Plot | None:
-    """Time series of the runs, by name; None if none of them has rows.
+class NamedRun(NamedTuple):
+    """A run in the plot: its name in the legend, its text at the pointer, and its directory."""
 
-    `first`: quantities that are shown first; the others follow in the order of the files. A click on a name in the
-    legend hides a run, a double click shows only this run.
+    name: str
+    hover: str
+    directory: Path
+
+
+def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str) -> Plot | None:
+    """Time series of the runs; None if none of them has rows.
+
+    `first`: quantities that are shown first; the others follow in the order of the files; `named_by`: what the names of
+    the runs contain. A click on a name in the legend hides a run, a double click shows only this run.
     """
-    shown = dict(list(runs.items())[:: -(-len(runs) // MOST_RUNS)]) if runs else {}
-    found = {name: series for name, path in shown.items() if (series := read_series(path / "timeseries.csv"))}
+    shown = runs[:: -(-len(runs) // MOST_RUNS)] if runs else ()
+    found = {run: series for run in shown if (series := read_series(run.directory / "timeseries.csv"))}
     if not found:
         return None
     columns = _columns(list(found.values()), first)
     curves = {column.name: [_curve(series, column.name) for series in found.values()] for column in columns}
     data = [
-        {"type": "scatter", "mode": "lines", "name": name.partition("<br>")[0], "x": x, "y": y,
+        {"type": "scatter", "mode": "lines", "name": run.name, "x": x, "y": y,
          "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
-         "hovertemplate": f"%{{y:.4~g}}<br>{name}<extra></extra>"}
-        for k, (name, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
+         "hovertemplate": f"%{{y:.4~g}}<br>{run.hover}<extra></extra>"}
+        for k, (run, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
     ]  # fmt: skip
     menu = {
         "buttons": [_button(column, curves[column.name]) for column in columns],
@@ -46,8 +54,8 @@ def series_overlay(runs: Mapping[str, Path], first: Sequence[str]) -> Plot | Non
     }
     axes = {"xaxis": axis("time (s)"), "yaxis": axis(_title(columns[0]))}
     caption = (
-        f"Time series of {len(found)} of {len(runs)} runs. The menu selects the quantity; a click in the legend hides "
-        "a run, a double click shows only this run."
+        f"Time series of {len(found)} of {len(runs)} runs, named by {named_by}. The menu selects the quantity; a click "
+        "in the legend hides a run, a double click shows only this run."
     )
     look = layout(HEIGHT, updatemenus=[menu], **axes) | {"showlegend": True}
     return Plot(caption, {"data": data, "layout": look | {"margin": {"l": 70, "r": 20, "t": 70, "b": 55}}})

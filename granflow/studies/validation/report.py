@@ -17,7 +17,7 @@ from granflow.studies.validation.collisions import elastic_cases, restitution_ca
 from granflow.studies.validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
 from granflow.studies.validation.motion import motion_cases
 from granflow.studies.validation.oblique import oblique_cases
-from granflow.studies.validation.peers import peer_cases
+from granflow.studies.validation.peers.compare import CASES, Stored, peer_cases, run_peers
 from granflow.studies.validation.rheology import cell_cases, layer_cases
 from granflow.studies.validation.silo import QUICK_COUNT as QUICK_SILO
 from granflow.studies.validation.silo import SINGLE, discharge_cases, janssen_cases
@@ -49,10 +49,8 @@ FAMILIES: Mapping[str, Family] = {
     "discharge of a silo": discharge_cases,
     "layer on a slope": layer_cases,
     "sheared box": cell_cases,
-    "column of LIGGGHTS and LAMMPS": partial(peer_cases, "column"),
-    "hopper of LIGGGHTS and LAMMPS": partial(peer_cases, "hopper"),
 }
-"""All cases."""
+"""All cases but those of LIGGGHTS and LAMMPS."""
 HEADS = ("case", "reference", "granflow", "deviation", "allowed", "status", "note")
 
 
@@ -64,17 +62,26 @@ class Section:
     notes: tuple[str, ...]
 
 
+def peer_families(peers: Stored) -> dict[str, Family]:
+    """Functions that simulate the cases of LIGGGHTS and LAMMPS; stored figures stand for codes missing in `peers`."""
+    return {f"{name} of LIGGGHTS and LAMMPS": partial(peer_cases, name, peers) for name in CASES}
+
+
 def write_validation(
-    out: Path, quick: bool = False, report: Callable[[str], None] = lambda text: None
+    out: Path, quick: bool = False, report: Callable[[str], None] = lambda text: None, with_peers: bool = False
 ) -> list[ValidationCase]:
     """Simulate the cases; write validation.html, validation.md and validation.json to `out`, which is created.
 
-    `quick`: only the cases of QUICK. `report` is called with the name of each family. Returns the cases. Raises OSError
-    if a file cannot be written.
+    quick:       only the cases of QUICK
+    report:      called with the name of each family
+    with_peers:  run LIGGGHTS and LAMMPS in `out`/peers, if they are installed, instead of showing their stored figures
+
+    Returns the cases. Raises OSError if a file cannot be written, GranflowError if no other code can be run.
     """
     out.mkdir(parents=True, exist_ok=True)
+    peers = run_peers(out / "peers", report) if with_peers else {}
     cases = []
-    for name, family in (QUICK if quick else FAMILIES).items():
+    for name, family in (QUICK if quick else {**FAMILIES, **peer_families(peers)}).items():
         report(name)
         cases += family()
     stored = {

@@ -31,6 +31,8 @@ BLOCKS = 5
 JANSSEN = "Janssen 1895 (Sperl 2006, doi 10.1007/s10035-005-0224-z)"
 FLOW_ORIFICES = {9e-3: 2.69, 10.5e-3: 1.6, 12e-3: 1.06, 14e-3: 0.69, 16e-3: 0.491}
 """Durations of the discharge [s] by radius of the orifice [m], those of `sweeps/silo_beverloo`."""
+SEEDS = (1, 2, 3)
+"""Seeds of the fillings of the silo; the flows of single runs scatter by about 3 %."""
 SINGLE = 12e-3
 """Radius of the orifice [m] of the shipped scene."""
 BULK_DENSITY, C, K = 1450.0, 0.58, 1.4
@@ -155,10 +157,15 @@ def beverloo_flow(orifice: float) -> float:
 
 
 def discharge(radius: float) -> float:
-    """Steady mass flow rate [kg/s] of the shipped silo through an orifice of this radius [m]."""
+    """Mean over SEEDS of the steady mass flow rate [kg/s] through an orifice of this radius [m]."""
+    return float(np.mean([discharge_of(radius, seed) for seed in SEEDS]))
+
+
+def discharge_of(radius: float, seed: int) -> float:
+    """Steady mass flow rate [kg/s] of the shipped silo, filled with a seed, through an orifice of this radius [m]."""
     keys = ("walls.plug.radius", "walls.floor.hole_radius", "output.flow_meters.outlet.radius")
     overrides = [f"{key}={radius}" for key in keys]
-    scene = shipped_scene("flat_silo", [*overrides, f"stages.1.duration={FLOW_ORIFICES[radius]}"])
+    scene = shipped_scene("flat_silo", [*overrides, f"stages.1.duration={FLOW_ORIFICES[radius]}", f"seed={seed}"])
     simulation = Simulation(scene)
     result = simulation.run()
     simulation.free()
@@ -182,7 +189,7 @@ def discharge_case(orifice: float, flow: float) -> ValidationCase:
         beverloo_flow(orifice), BEVERLOO, flow, "kg/s", PARAMETER_ERROR * math.hypot(1.0, share),
         "10 % of C and 10 % of k, independent of each other",
         remark="C = 0.58 and k = 1.4 are means over materials; C decreases with the friction of the particles (0.5). "
-        "The scatter of the flow, about 2.5 %, is not part of the allowed deviation",
+        f"Mean of {len(SEEDS)} fillings; the scatter of single runs, about 3 %, is not part of the allowed deviation",
         in_range=orifice >= 5.0 * DIAMETER,
     )  # fmt: skip
 
