@@ -114,10 +114,21 @@ def test_small_silo_carries_its_weight(taichi_f64):
 
 
 def test_evaluation_of_the_discharge_recovers_beverloos_law():
-    cases = silo.discharge_cases(flow=lambda radius: silo.beverloo_flow(2.0 * radius))
-    assert statuses(cases) == ["pass"] * 7
+    cases = silo.discharge_cases(flow=lambda radius, _: silo.beverloo_flow(2.0 * radius))
+    assert statuses(cases) == ["pass"] * 8
     assert [each.value for each in cases[-2:]] == pytest.approx([1.4, 2.5], rel=1e-6)
-    assert "fail" in statuses(silo.discharge_cases(flow=lambda radius: 2.0 * silo.beverloo_flow(2.0 * radius)))
+
+
+def test_a_wrong_flow_fails_in_a_wide_silo_and_misses_in_narrow_ones():
+    cases = silo.discharge_cases(flow=lambda radius, _: 2.0 * silo.beverloo_flow(2.0 * radius))
+    assert statuses(cases) == ["miss"] * 5 + ["fail"] + ["pass"] * 2
+
+
+@pytest.mark.parametrize(("orifice", "width", "expected"), [(0.028, 0.148, True), (0.028, 0.147, False),
+                                                            (0.019, 0.2, False), (0.1, 0.24, False)])  # fmt: skip
+def test_range_of_beverloos_law(orifice, width, expected):
+    """Orifice of 5 diameters of 4 mm; silo of 2.5 orifices, and of the orifice plus 30 diameters."""
+    assert silo.in_range(orifice, width) is expected
 
 
 def sheared_fields(inertial_number, friction, solid_fraction):

@@ -15,6 +15,7 @@ from granflow.contact import theory
 from granflow.contact.material import Solid, modulus_eff
 from granflow.studies.collision_bench import sphere_mass
 from granflow.studies.validation.case import ValidationCase
+from granflow.studies.validation.shipped import shipped_scene
 
 GRAVITY = 9.81
 RADIUS, SOLID = 5e-4, {"young_modulus": 1e7, "poisson_ratio": 0.3, "density": 1e4}
@@ -35,11 +36,14 @@ BOUNCE_RADIUS, DROP, BOUNCE_RESTITUTION = 0.1, 0.4, 0.9
 MFIX = "MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09.019"
 LEVER_ARM = "the overlap, 0.1 % of the radius, shortens the lever arm"
 """Reason of ROLLING_ERROR."""
+STACK_STIFFNESS, STACK_RADIUS, STACK_DENSITIES = 1000.0, 5e-4, np.array([2e4, 1e4])
+STACK_START, STACK_HEIGHT, STACK_END = np.array([4.5e-4, 1.35e-3]), 1.8e-3, 1e-3
+"""Stiffness [N/m], radius, densities, initial heights, distance of the plates [m] and end [s] of `mfix_stack`."""
 
 
 def motion_cases() -> list[ValidationCase]:
-    """Free fall with rebounds, the transition from sliding to rolling, and spheres on an incline."""
-    return bouncing_cases() + rolling_cases() + incline_cases()
+    """Bouncing particle, compressed stack, transition from sliding to rolling, and spheres on an incline."""
+    return bouncing_cases() + stack_cases() + rolling_cases() + incline_cases()
 
 
 def resting_overlap(acceleration: float) -> float:
@@ -175,4 +179,37 @@ def bouncing_cases() -> list[ValidationCase]:
             remark="The reference is a hard sphere; here a contact has a finite overlap.",
         )
         for n in range(1, 6)
+    ]  # fmt: skip
+
+
+def stack_motion(time: float) -> tuple[np.ndarray, float]:
+    """Heights (2,) [m] of two stacked spheres between plates, which start at rest, and the higher frequency [rad/s].
+
+    m1 z1'' = k (R - z1) - k (2 R - z2 + z1) - m1 g,   m2 z2'' = k (2 R - z2 + z1) - k (z2 + R - H) - m2 g
+    """
+    mass = STACK_DENSITIES * math.pi / 6.0 * (2.0 * STACK_RADIUS) ** 3
+    coupling = STACK_STIFFNESS * np.array([[2.0, -1.0], [-1.0, 2.0]])
+    load = STACK_STIFFNESS * np.array([-STACK_RADIUS, STACK_HEIGHT + STACK_RADIUS]) - mass * GRAVITY
+    rest, root = np.linalg.solve(coupling, load), np.sqrt(mass)
+    squares, modes = np.linalg.eigh(coupling / np.outer(root, root))
+    frequency = np.sqrt(squares)
+    amplitude = modes.T @ (root * (STACK_START - rest))
+    return rest + modes @ (amplitude * np.cos(frequency * time)) / root, float(frequency.max())
+
+
+def stack_cases() -> list[ValidationCase]:
+    """A light sphere on a heavy one, compressed between plates: heights after 1 ms, about three oscillations."""
+    simulation = Simulation(shipped_scene("verification/mfix_stack"))
+    simulation.run()
+    time, step, found = simulation.time, simulation.time_step, simulation.snapshot().particles["position"][:, 2]
+    simulation.free()
+    heights, frequency = stack_motion(time)
+    overlap = STACK_RADIUS - float(STACK_START[0])
+    return [
+        ValidationCase(
+            "Two stacked spheres", f"height of the {name} sphere after 1 ms", float(height), f"two eigenmodes; {MFIX}",
+            float(value), "m", (frequency * step) ** 2 * frequency * time,
+            "phase error of the time step, (w dt)^2 w t, relative to the initial overlap with a plate", scale=overlap,
+        )
+        for name, height, value in zip(("lower", "upper"), heights, np.sort(found), strict=True)
     ]  # fmt: skip

@@ -37,7 +37,7 @@ QUICK: Mapping[str, Family] = {
     **TWO_BODY,
     "cooling gas": partial(haff_cases, MODULI[1:2], QUICK_COUNT),
     "narrow silo": partial(janssen_cases, QUICK_SILO),
-    "discharge of a silo": partial(discharge_cases, (SINGLE,)),
+    "discharge of a silo": partial(discharge_cases, (SINGLE,), False),
     "sheared box": cell_cases,
 }
 """Cases of `granflow validate --quick`."""

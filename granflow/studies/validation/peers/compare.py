@@ -19,11 +19,12 @@ from granflow.studies.validation.peers.bed import COLUMN, HOPPER
 from granflow.studies.validation.peers.case import PeerCase, our_frames
 from granflow.studies.validation.peers.drum import DRUMS
 from granflow.studies.validation.peers.impact import IMPACT
+from granflow.studies.validation.peers.orifice import ORIFICE
 from granflow.studies.validation.peers.shaken import SHAKEN
 from granflow.studies.validation.peers.silo import SILO
 from granflow.studies.validation.peers.state import PERTURBATION
 
-CASES: Mapping[str, PeerCase] = {each.name: each for each in (COLUMN, HOPPER, SILO, IMPACT, SHAKEN, *DRUMS)}
+CASES: Mapping[str, PeerCase] = {each.name: each for each in (COLUMN, HOPPER, SILO, ORIFICE, IMPACT, SHAKEN, *DRUMS)}
 """Cases by name."""
 MODEL_ERROR = 0.02
 """Difference between the codes where they end a contact differently: with or without tension."""
@@ -57,7 +58,11 @@ def run_peers(
     found = {}
     for code in codes:
         origin = {"version": programs.version(code, folder / code.lower()), "date": date.today().isoformat()}
-        found[code] = {name: {**origin, "figures": _runs(code, each, folder, report)} for name, each in cases.items()}
+        found[code] = {
+            name: {**origin, "figures": _runs(code, each, folder, report)}
+            for name, each in cases.items()
+            if programs.simulates(code, each)
+        }
     write_figures(folder / "figures.json", found)
     return found
 
@@ -96,6 +101,8 @@ def compared(case: PeerCase, ours: Mapping[str, Sequence[float]], stored: Stored
     found = []
     for name, samples in ours.items():
         for peer, content in stored.items():
+            if case.name not in content:
+                continue
             run = content[case.name]
             theirs = run["figures"][name]
             reference = float(np.mean(theirs))

@@ -47,7 +47,13 @@ def figures(frames: Frames) -> dict[str, float]:
     }
 
 
+REMARK = (
+    "The largest depth is that after the bed has bounced; it differs by 6 % between fillings. From the same settled "
+    "bed, the sphere is about 1 % less deep at its first stop in granflow than in LIGGGHTS and LAMMPS, at all time "
+    "steps: lever arms differ between the codes, and particles overlap by up to 23 % of their radius here"
+)
+"""Remark on this case."""
 IMPACT = PeerCase(
     "impact of a sphere", initial_state, scene, ((0.0, 0.0, -0.01), (SIDE, SIDE, TOP)), TIME_STEP,
-    np.arange(round(BEFORE / FRAME), round(END / FRAME) + 1) * FRAME, figures, "impact", repeats=8,
+    np.arange(round(BEFORE / FRAME), round(END / FRAME) + 1) * FRAME, figures, "impact", repeats=16, remark=REMARK,
 )  # fmt: skip

@@ -28,6 +28,11 @@ def input_path(code: str, case: PeerCase) -> Path:
     return INPUTS / f"in.{case.deck}.{code.lower()}"
 
 
+def simulates(code: str, case: PeerCase) -> bool:
+    """Whether a code has an input for a case; LAMMPS has no wall with a hole."""
+    return input_path(code, case).is_file()
+
+
 def run(code: str, case: PeerCase, repeat: int, folder: Path) -> dict[str, list[float]]:
     """Samples of each figure of one run, which writes its files to `folder`.
 
