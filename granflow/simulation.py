@@ -104,7 +104,8 @@ class Simulation:
         refuse_other_object(scene)
         if communicator is not None:
             refuse_on_ranks(arch, forces)
-        resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
+        if isinstance(resume, Path | str):
+            resume = checkpoint_at(resume, "all" if communicator is None else "root")
         scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
         self.files = RunDirectory(None if out is None else Path(out), scene, resume, overwrite)
