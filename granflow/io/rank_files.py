@@ -61,9 +61,19 @@ class RankFileWriter:
 
         `count`: number of particles; `saved`: "particles" and "contacts" as in `engine.checkpoint`. Raises OSError.
         """
-        name = f"rank_{self.step:012d}_{self.token}_{rank:04d}.npz"
+        name = f"{self._step_prefix}{self.token}_{rank:04d}.npz"
         arrays = split_arrays(saved, ENGINE)[1]
         return {"file": name, "checksum": write_file(self.directory / name, {"rank": rank}, arrays), "count": count}
+
+    def remove_replaced(self) -> None:
+        """Remove the files of an earlier checkpoint of the same step, which this one has replaced."""
+        for path in self.directory.glob(f"{self._step_prefix}*.npz"):
+            if NAME.fullmatch(path.name) and not path.name.startswith(self._step_prefix + self.token):
+                path.unlink(missing_ok=True)
+
+    @property
+    def _step_prefix(self) -> str:
+        return f"rank_{self.step:012d}_"
 
 
 def listed_files(directory: Path, entries: Any) -> tuple[RankFile, ...]:

@@ -49,7 +49,8 @@ class CheckpointWriter:
         `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be written.
         """
         self.start(time)
-        saved = state(RankFileWriter.of(self._directory, step))
-        write_checkpoint(self._directory, self._scene_text, time, step, saved)
+        writer = RankFileWriter.of(self._directory, step)
+        write_checkpoint(self._directory, self._scene_text, time, step, state(writer))
+        writer.remove_replaced()
         remove_old_checkpoints(self._directory, self._settings.keep)
         self.last_time = time
