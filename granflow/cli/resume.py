@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 EXIT_EXPECTATIONS_FAILED = 1
 """Exit code of a complete run with an expectation that is not satisfied."""
 
-RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
+RESULT_SUFFIXES = (".vtu", ".pvtu", ".csv", ".npz")
 """File types of results that take computing time."""
 SCENE = "scene_as_run.yaml"
 """Name of the resolved scene in the output directory."""
 
 CHANGES = """\
 These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
-  output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
+  output.interval, .timeseries_interval, .particles, .frames_per_rank, .contacts, .walls, .checkpoint
   run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage and later
     ones, or of the last stage of a completed run; stages added at the end
   stages, appears_at and vanishes_at of walls: opening a gate

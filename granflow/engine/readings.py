@@ -161,16 +161,26 @@ class Readings:
         """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""
         if not (needs_arrays or self.state.backend.on_cpu):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
-        shown = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
-        own = self._own_synchronized(tuple(shown) if needs_arrays else (*MOTION, *CONTACT_COUNTS))
+        own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
         sums = host_sums(own, self._gravity, self.state.ranks)
-        if not needs_arrays:
-            return {}, sums
-        arrays = self.state.ranks.gathered(own)
-        arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
+        return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
+
+    def own_particles(self) -> dict[str, np.ndarray]:
+        """As `Snapshot.particles`, of this process only; all MPI ranks call this together."""
+        self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))  # contacts per particle
+        return ordered_particles(self._in_box(self._own_synchronized(self._shown)), self.accounting)
+
+    @property
+    def _shown(self) -> tuple[str, ...]:
+        """Fields of snapshots."""
+        return tuple(each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
+
+    def _in_box(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The arrays with positions in the periodic box, and the velocities there."""
+        position, velocity = self.plan.periodic_box.wrap_with_velocity(
             arrays["position"], arrays["velocity"], self.time
         )
-        return arrays, sums
+        return arrays | {"position": position, "velocity": velocity}
 
     def copied(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, as they are on the device."""
