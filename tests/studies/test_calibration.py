@@ -24,7 +24,7 @@ from granflow.studies.calibration.targets import (
     standard_errors,
 )
 from granflow.studies.calibration.trials import TrialRunner, _missing_reason
-from granflow.studies.run_processes import process
+from granflow.studies.run_processes import run_worker
 from granflow.studies.run_processes.checked import RunSettings
 from granflow.studies.run_processes.quantities import error_name
 
@@ -162,7 +162,7 @@ def test_scaled_parameters_include_both_bounds():
 def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
     """Runs are replaced by e + mu and e mu with e = 0.62 and mu = 0.27; the solution e = 0.27 is out of bounds."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
     text = CALIBRATION.replace("from: 0.3", "from: 0.45").replace(
         "value: 1 mJ, tolerance: 10 uJ", "value: 0.89, tolerance: 0.01"
     )
@@ -184,7 +184,7 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
 def test_conflicting_targets_are_reported(tmp_path, monkeypatch):
     """The sum cannot be 0.6 and 0.9 at the same time."""
     pytest.importorskip("optuna")
-    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
     text = CALIBRATION.replace("value: 1 mJ, tolerance: 10 uJ", "value: 0.6, tolerance: 0.1")
     text = text.replace(
         "search:", "  other: {scene: pair, quantity: kinetic_energy, value: 0.9, tolerance: 0.1}\nsearch:"
