@@ -30,26 +30,28 @@ class RunWorker:
         )  # fmt: skip
         self._codes: Queue[int] = Queue()
         self._idle_since: float | None = monotonic()
+        self._is_ending = False
         Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
         """Receive the exit codes of commands; that of the process is the last one."""
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._codes.put(int(line))
+        with self._process.stdout as answers:
+            for line in answers:
+                self._codes.put(int(line))
         self._codes.put(self._process.wait())
 
     @property
     def is_ready(self) -> bool:
         """Whether the process waits for a command, and will do so for some time."""
         is_idle = self._idle_since is not None and monotonic() - self._idle_since < IDLE_SECONDS
-        return is_idle and self._process.poll() is None
+        return is_idle and not self._is_ending and self._process.poll() is None
 
     def start(self, command: Sequence[str]) -> None:
         """Begin a command: file for its messages, arguments of granflow."""
         assert self._process.stdin is not None
         self._idle_since = None
-        with suppress(BrokenPipeError):  # the process has ended; `exit_code` returns its code
+        with suppress(OSError):  # the process has ended; `exit_code` returns its code
             self._process.stdin.write(json.dumps(command).encode() + b"\n")
 
     def exit_code(self, timeout: float) -> int:
@@ -66,6 +68,7 @@ class RunWorker:
 
     def terminate(self) -> None:
         """Request that the process ends, with a checkpoint of its run."""
+        self._is_ending = True
         self._process.terminate()
 
     def close(self) -> None:
