@@ -72,7 +72,7 @@ def test_parameters_of_a_sum_are_identified_only_together():
     assert known.statement(NAMES, 0, "").endswith("they determine it only together with rolling_friction.")
     assert known.statement(NAMES, 2, "angle changes by 0.1 deg").startswith(
         "restitution cannot be identified from the targets: none of them responds to it between its bounds by more "
-        "than the scatter between runs; angle changes by 0.1 deg (F test of all completed trials: p = 0."
+        "than the scatter between runs; angle changes by 0.1 deg (F test of 60 trials: p = 0."
     )
 
 
@@ -143,11 +143,28 @@ def test_rate_of_found_effects_is_the_power_of_the_f_test():
     assert found / count == pytest.approx(power, abs=4.0 * np.sqrt(power * (1.0 - power) / count))
 
 
+def test_trials_that_were_stopped_early_show_effects_on_the_targets_that_they_have():
+    """A trial is stopped if its first residual, 10 (u - 0.1), exceeds 4: the completed ones are those up to u = 0.5."""
+    random = np.random.default_rng(5)
+    u = random.uniform(size=(30, 1))
+    residuals = np.hstack([10.0 * (u - 0.1) + random.normal(0.0, 1.0, (30, 1)), 5.0 * u])
+    whole = effects(u, residuals[:, :1], np.zeros((30, 1)))
+    stopped = residuals[:, 0] > 4.0
+    residuals[stopped, 1] = np.nan
+    best = int(np.argmin(np.where(stopped, np.inf, np.abs(residuals[:, 0]))))
+    known = identification(u, residuals, np.where(np.isnan(residuals), np.nan, 0.0), best)
+    assert known.effects.trials.tolist() == [30, 30 - stopped.sum()]
+    assert known.effects.change[0] == pytest.approx(whole.change[0])
+    assert known.effects.change[1] == pytest.approx(5.0)
+    completed = identification(u[~stopped], residuals[~stopped], np.zeros((30 - stopped.sum(), 2)), 0)
+    assert known.effects.error[0, 0] < completed.effects.error[0, 0]
+
+
 def test_many_residuals_need_a_smaller_probability():
     """The smallest of 50 probabilities without effect is below LEVEL in 12 % of all cases without the factor 50."""
     random = np.random.default_rng(4)
     count = 0
-    for _ in range(200):
+    for _ in range(60):
         found: Effects = effects(random.uniform(size=(30, 1)), random.normal(size=(30, 50)), np.zeros((30, 50)))
         count += bool(found.significant.any())
-    assert count <= binom.isf(1e-3, 200, LEVEL)
+    assert count <= binom.isf(1e-3, 60, LEVEL)

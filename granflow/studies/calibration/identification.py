@@ -1,7 +1,7 @@
 """What the targets determine: effects of the parameters over their bounds, and uncertainties at the best values.
 
-1. Effect: a residual responds to a parameter if the terms with the parameter improve a polynomial fit to all completed
-   trials, by an F test at LEVEL, divided by the number of residuals (Bonferroni).
+1. Effect: a residual responds to a parameter if the terms with the parameter improve a polynomial fit to all trials
+   that have this residual, by an F test at LEVEL, divided by the number of residuals (Bonferroni).
 2. Uncertainty: the targets determine the parameters with the covariance
 
     C = (sum of J J^T / (1 + s^2) + 12 I)^-1
@@ -43,16 +43,22 @@ class Effects:
 
     `change`: of a residual from the lower to the upper bound of a parameter, averaged over the other parameters;
     `error`: its standard error; `probability`: of an effect of this size by scatter alone, for all residuals together.
+    `trials` (residuals,): number of trials that have each residual.
     """
 
     change: np.ndarray
     error: np.ndarray
     probability: np.ndarray
+    trials: np.ndarray
 
     @property
     def significant(self) -> np.ndarray:
         """Whether each residual responds to each parameter."""
         return np.asarray(self.probability < LEVEL)
+
+    def strongest(self, parameter: int) -> int:
+        """Index of the residual with the most significant effect of a parameter."""
+        return int(np.argmin(self.probability[:, parameter]))
 
 
 def effects(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray) -> Effects:
@@ -60,30 +66,41 @@ def effects(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray) -> Effects
 
         F = (RSS of the fit without the terms of a parameter - RSS of the full fit) / (number of these terms s^2)
 
-    A fit of first degree needs `fewest_trials`.
+    A residual that a trial does not have is nan. Each one needs the `fewest_trials` for a fit of first degree.
     """
+    known = np.isfinite(residuals)
+    found = [
+        _effect(u[has], r[has, None], e[has, None]) for has, r, e in zip(known.T, residuals.T, errors.T, strict=True)
+    ]
+    change, error, probability = np.array(found).transpose(1, 0, 2)
+    return Effects(change, error, np.minimum(probability * len(found), 1.0), known.sum(axis=0))
+
+
+def _effect(u: np.ndarray, residual: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Change, its standard error and probability (3, d) of one residual (trials, 1)."""
     count = u.shape[1]
     degree = highest_degree(*u.shape)
-    response = fit(u, residuals, degree, errors)
+    response = fit(u, residual, degree, error)
     matrix = terms(u, degree)
-    full = _squares(matrix, residuals)
-    change, error, probability = (np.empty((residuals.shape[1], count)) for _ in range(3))
+    full = _squares(matrix, residual)
+    found = np.empty((3, count))
     for k in range(count):
         low = np.full((1, count), 0.5)
         high = low.copy()
         low[0, k], high[0, k] = 0.0, 1.0
         contrast = (terms(high, degree) - terms(low, degree))[0]
         has_parameter = terms(np.eye(count)[[k]] + 2.0, degree)[0] != terms(np.full((1, count), 2.0), degree)[0]
-        excess = (_squares(matrix[:, ~has_parameter], residuals) - full) / (has_parameter.sum() * response.scatter**2)
-        change[:, k] = contrast @ response.coefficients
-        error[:, k] = response.scatter * np.sqrt(contrast @ response.spread @ contrast)
-        probability[:, k] = fdtrc(has_parameter.sum(), response.freedom, np.maximum(excess, 0.0))
-    return Effects(change, error, np.minimum(probability * residuals.shape[1], 1.0))
+        excess = _squares(matrix[:, ~has_parameter], residual) - full
+        ratio = max(excess, 0.0) / (has_parameter.sum() * response.scatter[0] ** 2)
+        found[0, k] = contrast @ response.coefficients[:, 0]
+        found[1, k] = response.scatter[0] * np.sqrt(contrast @ response.spread @ contrast)
+        found[2, k] = fdtrc(has_parameter.sum(), response.freedom, ratio)
+    return found
 
 
-def _squares(matrix: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """Sums (residuals,) of squared deviations from the best fit with the terms of `matrix` (trials, terms)."""
-    return np.asarray(((residuals - matrix @ (np.linalg.pinv(matrix) @ residuals)) ** 2).sum(axis=0))
+def _squares(matrix: np.ndarray, residual: np.ndarray) -> float:
+    """Sum of squared deviations from the best fit with the terms of `matrix` (trials, terms)."""
+    return float(((residual - matrix @ (np.linalg.pinv(matrix) @ residual)) ** 2).sum())
 
 
 @dataclass(frozen=True)
@@ -110,12 +127,13 @@ class Identification:
         if self.is_identified(index):
             return ""
         name = names[index]
-        probability = self.effects.probability[:, index].min()
+        strongest = self.effects.strongest(index)
+        probability = self.effects.probability[strongest, index]
         others = [other for k, other in enumerate(names) if k != index and self.importance[k] > 0.0]
         if not self.effects.significant[:, index].any():
             reason = (
                 f"none of them responds to it between its bounds by more than the scatter between runs; {changes} "
-                f"(F test of all completed trials: p = {probability:.2g}, significant below {LEVEL})"
+                f"(F test of {self.effects.trials[strongest]} trials: p = {probability:.2g}, significant below {LEVEL})"
             )
         elif self.importance[index] == 0.0:
             reason = (
@@ -130,14 +148,17 @@ class Identification:
 
 
 def identification(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> Identification | None:
-    """What the targets determine near trial `best`; see the module docstring. None with too few trials.
+    """What the targets determine near trial `best`; see the module docstring. None with too few completed trials.
 
-    `u`: parameters (trials, d) in [0, 1]; `residuals` and their standard `errors`: (trials, residuals).
+    `u`: parameters (trials, d) in [0, 1]; `residuals` and their standard `errors`: (trials, residuals), nan where a
+    trial was stopped before; `best`: index of the best of the completed trials, which have all residuals.
     """
-    if highest_degree(*u.shape) == 0:
+    completed = np.isfinite(residuals).all(axis=1)
+    if highest_degree(int(completed.sum()), u.shape[1]) == 0:
         return None
     found = effects(u, residuals, errors)
-    slopes, scatter = _gradient(u, residuals, errors, best)
+    number = int(completed[:best].sum())
+    slopes, scatter = _gradient(u[completed], residuals[completed], errors[completed], number)
     slopes = np.where(found.significant, slopes, 0.0)
     information = (slopes.T / (1.0 + scatter**2)) @ slopes + np.eye(u.shape[1]) / UNIFORM_VARIANCE
     squares = (slopes**2).sum(axis=0)

@@ -108,8 +108,9 @@ def _best_values(
 ) -> list[BestValue]:
     """Best values of all parameters, with their uncertainties."""
     parameters, values = search.calibration.parameters, completed[best].params
-    u, residuals = search.scaled(completed)
-    known = identification(u, residuals, search.standard_errors(completed), best)
+    trials = [*completed, *search.stopped_early()]
+    u, residuals = search.scaled(trials)
+    known = identification(u, residuals, search.standard_errors(trials), best)
     if known is None:
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
         return [
@@ -129,7 +130,7 @@ def _best_values(
 def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
     """Text of the most significant effect of a parameter over its bounds, such as `angle changes by 2 ± 1 deg`."""
     names = [name for name, each in targets.items() for _ in each.value]
-    strongest = int(np.argmin(effects.probability[:, index]))
+    strongest = effects.strongest(index)
     measured = targets[names[strongest]]
     change, error = (each[strongest, index] / measured.scale for each in (effects.change, effects.error))
     text = given_text(measured, change, measured.target.quantity, 2)
