@@ -16,6 +16,7 @@ from granflow.cli.examples import add_example, add_examples
 from granflow.cli.explain import add_explain
 from granflow.cli.memory_limit import refuse_low_memory_limit
 from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
+from granflow.cli.plot import add_plot
 from granflow.cli.render import add_render
 from granflow.cli.report import add_report
 from granflow.cli.resume import add_resume, resume
@@ -106,6 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_stability(verbs)
     add_sweep(verbs)
     add_calibrate(verbs)
+    add_plot(verbs)
     add_render(verbs)
     add_report(verbs)
     add_cache(verbs)

@@ -1,4 +1,4 @@
-"""Replaces `granflow run` and `granflow resume` in tests of the driver: known results after a short time.
+"""Replaces the workers, `granflow run` and `granflow resume` in tests: known results after a short time.
 
 The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is aborted. While
 there is a file `wait` in the directory of the sweep, the run lasts until it is stopped, and then has a checkpoint, from
@@ -14,19 +14,31 @@ from pathlib import Path
 EXPECTED = 1.0
 
 
-def settings():
+def settings(arguments):
     """Values of the overrides by the last key."""
-    given = [text.partition("=")[2].partition("=") for text in sys.argv if text.startswith("--set=")]
+    given = [text.partition("=")[2].partition("=") for text in arguments if text.startswith("--set=")]
     return {key.rpartition(".")[2]: json.loads(value) for key, _, value in given}
 
 
 def main():
-    verb = sys.argv[1]
-    directory = Path(sys.argv[2] if verb == "resume" else sys.argv[sys.argv.index("--out") + 1])
+    """As granflow/cli/run_worker.py."""
+    for line in sys.stdin:
+        messages, *arguments = json.loads(line)
+        with open(messages, "w") as sys.stderr:
+            code = run(arguments)
+        if code > 2:
+            return code
+        print(code, flush=True)
+    return 0
+
+
+def run(arguments):
+    verb = arguments[0]
+    directory = Path(arguments[1] if verb == "resume" else arguments[arguments.index("--out") + 1])
     checkpoint = directory / "checkpoint_1.npz"
     with (directory.parent.parent / "starts.txt").open("a") as file:
         file.write(f"{verb} {directory.name}\n")
-    values = json.loads(checkpoint.read_text()) if verb == "resume" else settings()
+    values = json.loads(checkpoint.read_text()) if verb == "resume" else settings(arguments)
     if values["friction"] == 0.4:
         print(f"granflow: Stopped: overlap above the limit. State in {directory}.", file=sys.stderr)
         return 3

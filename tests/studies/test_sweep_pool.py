@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from studies.sweep_files import SWEEP, write_sweep
 
-from granflow.studies.run_processes import process
+from granflow.studies.run_processes import run_worker
 from granflow.studies.run_processes.executors import Workers
 from granflow.studies.sweep.run import read_sweep, run_sweep
 
@@ -22,7 +22,7 @@ STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"]
 
 @pytest.fixture(autouse=True)
 def stand_in(monkeypatch):
-    monkeypatch.setattr(process, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
 
 
 @pytest.fixture
@@ -115,8 +115,8 @@ def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp
 DRIVER = f"""
 import sys
 from granflow.cli.main import main
-from granflow.studies.run_processes import process
-process.PROGRAM = (sys.executable, "-S", {str(Path(__file__).with_name("stand_in.py"))!r})
+from granflow.studies.run_processes import run_worker
+run_worker.PROGRAM = (sys.executable, "-S", {str(Path(__file__).with_name("stand_in.py"))!r})
 sys.exit(main(sys.argv[1:]))
 """
 """Program of a process with the command line, in which the stand-in replaces the runs."""

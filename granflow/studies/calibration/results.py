@@ -13,7 +13,8 @@ import numpy as np
 from granflow import Scene, load_scene
 from granflow.io.atomic_files import replacing, write_text
 from granflow.io.tables import write_table
-from granflow.studies.calibration.response import fewest_trials, fit_response, identification
+from granflow.studies.calibration.identification import Effects, identification
+from granflow.studies.calibration.response import fewest_trials
 from granflow.studies.calibration.schema import CalibrationInput, Parameter
 from granflow.studies.calibration.search import Search, deviation_in_units, settings_of
 from granflow.studies.calibration.targets import Measured, deviation, given_text
@@ -96,32 +97,44 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
     best = int(np.argmin([trial.value for trial in completed]))
     found = [_best_target(name, each, completed[best]) for name, each in targets.items()]
     trials = tuple(search.study.get_trials(deepcopy=False))
-    parameters = tuple(_best_values(search, completed, best))
+    parameters = tuple(_best_values(search, targets, completed, best))
     return CalibrationResult(
         completed[best].value, parameters, tuple(found), tuple(_conflicts(targets, completed)), trials
     )
 
 
-def _best_values(search: Search, completed: Sequence[Any], best: int) -> list[BestValue]:
-    """Best values of all parameters, with uncertainties from the response near the best trial."""
+def _best_values(
+    search: Search, targets: Mapping[str, Measured], completed: Sequence[Any], best: int
+) -> list[BestValue]:
+    """Best values of all parameters, with their uncertainties."""
     parameters, values = search.calibration.parameters, completed[best].params
-    u, residuals = search.scaled(completed)
-    response = fit_response(u, residuals, best, search.standard_errors(completed))
-    if response is None:
+    trials = [*completed, *search.stopped_early()]
+    u, residuals = search.scaled(trials)
+    known = identification(u, residuals, search.standard_errors(trials), best)
+    if known is None:
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
         return [
             _best_value(name, each, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
             for name, each in parameters.items()
         ]
-    known = identification(response, u[best])
     return [
         _best_value(
             name, each, values[name], deviation_in_units(each, values[name], float(known.deviation[k])),
             float(known.importance[k]),
-            known.statement(list(parameters), k),
+            known.statement(list(parameters), k, _strongest_change(targets, known.effects, k)),
         )
         for k, (name, each) in enumerate(parameters.items())
     ]  # fmt: skip
+
+
+def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
+    """Text of the most significant effect of a parameter over its bounds, such as `angle changes by 2 ± 1 deg`."""
+    names = [name for name, each in targets.items() for _ in each.value]
+    strongest = effects.strongest(index)
+    measured = targets[names[strongest]]
+    change, error = (each[strongest, index] / measured.scale for each in (effects.change, effects.error))
+    text = given_text(measured, change, measured.target.quantity, 2)
+    return f"{names[strongest]} changes by {text} \N{PLUS-MINUS SIGN} {error / measured.factor:.2g}"
 
 
 def _best_value(

@@ -20,6 +20,7 @@ from granflow.studies.calibration.targets import Measured, read_target
 from granflow.studies.calibration.trials import TrialRunner
 from granflow.studies.run_processes.checked import RunSettings
 from granflow.studies.run_processes.executors import local_jobs
+from granflow.studies.run_processes.run_worker import close_workers
 
 POLL = 0.5
 """Interval [s] at which a request to stop is checked."""
@@ -105,7 +106,10 @@ def run_calibration(
     runner.check({name: from_unit(each, 0.5) for name, each in file.content.parameters.items()})
     with locked(search.lock):
         search.release_lost()
-        _Workers(runner, count, stop, report).run()
+        try:
+            _Workers(runner, count, stop, report).run()
+        finally:
+            close_workers()
     result = result_of(search, file.targets)
     if result is not None:
         write_result(out, result)

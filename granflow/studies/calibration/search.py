@@ -117,18 +117,21 @@ class Search:
         states = self.optuna.trial.TrialState
         return list(self.study.get_trials(deepcopy=False, states=(states.COMPLETE,)))
 
+    def stopped_early(self) -> list[Any]:
+        """Trials that were stopped early, but have the residuals of some targets."""
+        found = self.study.get_trials(deepcopy=False, states=(self.optuna.trial.TrialState.PRUNED,))
+        return [trial for trial in found if trial.user_attrs.get("residuals")]
+
     def scaled(self, trials: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), of completed trials."""
-        residuals = [np.concatenate(list(trial.user_attrs["residuals"].values())) for trial in trials]
-        return self._unit_parameters(trials), np.array(residuals)
+        """Parameters (trials, d) scaled to [0, 1], and weighted residuals (trials, residuals), nan where missing.
+
+        The first trial has been completed.
+        """
+        return self._unit_parameters(trials), _by_target(trials, "residuals")
 
     def standard_errors(self, trials: Sequence[Any]) -> np.ndarray:
         """Standard errors (trials, residuals) of the weighted residuals, from the runs; 0 where these have none."""
-        found = [
-            np.concatenate([trial.user_attrs["errors"][name] for name in trial.user_attrs["residuals"]])
-            for trial in trials
-        ]
-        return np.array(found)
+        return _by_target(trials, "errors")
 
     def _unit_parameters(self, trials: Sequence[Any]) -> np.ndarray:
         """Parameters (trials, d) scaled to [0, 1]."""
@@ -154,6 +157,16 @@ class Search:
         if np.abs(tried - found).max(axis=1).min() > NEW_POINT:
             named = zip(self.calibration.parameters.items(), found, strict=True)
             self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
+
+
+def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:
+    """Numbers of all targets (trials, residuals) in an attribute of trials; nan for a target that a trial lacks."""
+    counts = {name: len(values) for name, values in trials[0].user_attrs["residuals"].items()}
+    found = [
+        np.concatenate([trial.user_attrs[attribute].get(name, [np.nan] * count) for name, count in counts.items()])
+        for trial in trials
+    ]
+    return np.array(found)
 
 
 def require_optuna(method: str) -> Any:

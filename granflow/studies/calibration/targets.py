@@ -135,8 +135,8 @@ def deviation(measured: Measured, found: Mapping[str, list[float]], name: str) -
     return size if isfinite(size) else float("inf")
 
 
-def given_text(measured: Measured, value: float, quantity: str) -> str:
+def given_text(measured: Measured, value: float, quantity: str, digits: int = 5) -> str:
     """Text of a value [SI] of a target, with the unit in which the calibration gives the target, or its SI unit."""
     if measured.unit:
-        return f"{value / measured.factor:.5g} {measured.unit}"
-    return f"{value:.5g} {unit_of(quantity)}".rstrip()
+        return f"{value / measured.factor:.{digits}g} {measured.unit}"
+    return f"{value:.{digits}g} {unit_of(quantity)}".rstrip()

@@ -105,7 +105,11 @@ class TrialRunner:
             run = self._checked(scene, trial.params)
             trial.set_user_attr(f"run.{scene}", run.directory.name)
             before = sum(float(np.sum(np.square(each))) for each in found.values())
-            self._carry_out(trial, number, run, scene, before, limit)
+            try:
+                self._carry_out(trial, number, run, scene, before, limit)
+            except Unpromising:
+                self._record(trial, found, shown, errors)
+                raise
             for name, measured in self._targets_of(scene).items():
                 values = simulated(measured, run.directory)
                 if not np.isfinite(values).all():
@@ -113,10 +117,18 @@ class TrialRunner:
                 errors[name] = standard_errors(measured, run.directory).tolist()
                 found[name] = residuals(measured, run.directory).tolist()
                 shown[name] = shown_value(measured, values)
-        trial.set_user_attr("residuals", {name: found[name] for name in self.targets})
-        trial.set_user_attr("simulated", shown)
-        trial.set_user_attr("errors", {name: errors[name] for name in self.targets})
+        self._record(trial, found, shown, errors)
         return sum(float(np.sum(np.square(each))) for each in found.values())
+
+    def _record(
+        self, trial: Any, found: Mapping[str, list[float]], shown: Mapping[str, float],
+        errors: Mapping[str, list[float]],
+    ) -> None:  # fmt: skip
+        """Make the weighted residuals, simulated values and standard errors so far attributes of the trial."""
+        known = [name for name in self.targets if name in found]
+        trial.set_user_attr("residuals", {name: found[name] for name in known})
+        trial.set_user_attr("simulated", dict(shown))
+        trial.set_user_attr("errors", {name: errors[name] for name in known})
 
     def _limit(self) -> float:
         """Loss above which a trial is stopped: the median of the completed trials; infinite for the first ones."""

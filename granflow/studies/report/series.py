@@ -30,7 +30,7 @@ def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
     kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
     for column in columns:
         kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
-    return [PlotGroup(_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
+    return [PlotGroup(common_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
 
 
 def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
@@ -45,7 +45,7 @@ def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
     return quantity
 
 
-def _title(members: Sequence[SeriesColumn]) -> str:
+def common_title(members: Sequence[SeriesColumn]) -> str:
     """Common first words of the quantities, or else common last words."""
     if len(members) == 1:
         return members[0].text

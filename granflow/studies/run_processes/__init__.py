@@ -1,1 +1,1 @@
-"""Many runs: each one a process of its own, in a directory of its own, on this machine or through Dask."""
+"""Many runs in worker processes, each in a directory of its own, on this machine or through Dask."""

@@ -1,4 +1,4 @@
-"""Where runs take place: threads of this process that start one process per run, or workers of Dask."""
+"""Where runs take place: threads of this process, each with a worker process, or workers of Dask."""
 
 import socket
 from collections.abc import Callable, Iterator
@@ -11,6 +11,7 @@ from typing import Any
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.studies.run_processes.cluster import batch_cluster, read_profile
+from granflow.studies.run_processes.run_worker import close_workers
 from granflow.visible_text import numbered
 
 CONNECT_TIMEOUT = 20.0
@@ -48,8 +49,11 @@ def executor_for(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
             yield found
         return
     jobs = local_jobs(workers.jobs, workers.threads, worker_count(None)[0])
-    with ThreadPoolExecutor(jobs) as executor:
-        yield executor, lambda: jobs
+    try:
+        with ThreadPoolExecutor(jobs) as executor:
+            yield executor, lambda: jobs
+    finally:
+        close_workers()
 
 
 def local_jobs(jobs: int | None, threads: int, cores: int) -> int:

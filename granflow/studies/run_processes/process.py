@@ -1,9 +1,7 @@
-"""One run in a process of its own: started, or resumed from its checkpoint, and watched until it ends."""
+"""One run in a worker process: started, or resumed from its checkpoint, and watched until it ends."""
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,18 +18,16 @@ from granflow.studies.run_processes.outcome import (
     final_outcome,
     write_outcome,
 )
-
-PROGRAM = (sys.executable, "-m", "granflow")
-"""Start of the command of each run."""
+from granflow.studies.run_processes.run_worker import RunWorker, worker
 
 POLL = 0.2
-"""Interval [s] at which a process, and a request to stop it, are checked."""
+"""Interval [s] at which a request to stop is checked."""
 
 STOP_TIMEOUT = 120.0
 """Time [s] for a stopped run to write its checkpoint; after it the process is killed."""
 
 MESSAGES = "stderr.txt"
-"""File in the directory of a run with the messages of its last process."""
+"""File in the directory of a run with the messages of its last attempt."""
 
 REFUSAL, ABORT = GranflowError.exit_code, RunError.exit_code
 
@@ -110,34 +106,23 @@ def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
 
 
 def _watch(arguments: Sequence[str], directory: Path, stopping: Callable[[], bool]) -> int | None:
-    """Run granflow and return its exit code, negative for a signal; None if it was stopped on request.
-
-    The process has a session of its own: Ctrl-C in the terminal reaches the driver only, which then stops the run.
-    """
-    with (directory / MESSAGES).open("wb") as messages:
-        process = subprocess.Popen(
-            [*PROGRAM, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=messages,
-            start_new_session=True,
-        )  # fmt: skip
+    """Carry out a command of granflow in a worker and return its exit code, negative for a signal; None if stopped."""
+    with worker() as taken:
+        taken.start([str(directory / MESSAGES), *arguments])
         while True:
             try:
-                return process.wait(POLL)
-            except subprocess.TimeoutExpired:
+                return taken.exit_code(POLL)
+            except TimeoutError:
                 if stopping():
-                    return _stop(process)
-            except BaseException:
-                process.terminate()
-                raise
+                    return _stop(taken)
 
 
-def _stop(process: subprocess.Popen[bytes]) -> int | None:
-    """Stop a process with a checkpoint; its exit code if it had just ended, else None."""
-    process.terminate()
+def _stop(taken: RunWorker) -> int | None:
+    """Stop a worker with a checkpoint of its run; the exit code if the run had just ended, else None."""
+    taken.terminate()
     try:
-        code = process.wait(STOP_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        code = taken.exit_code(STOP_TIMEOUT)
+    except TimeoutError:
         return None
     return code if code in (0, 1, REFUSAL, ABORT) else None
 

@@ -1,0 +1,1 @@
+"""`granflow plot`: columns of time series against time or against each other."""

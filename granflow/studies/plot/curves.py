@@ -1,0 +1,117 @@
+"""Curves of `granflow plot`: the chosen columns of one or more runs, by panel."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
+from granflow.studies.plot.expression import WORD, quantity_of
+from granflow.studies.report.series import common_title
+from granflow.visible_text import numbered
+
+MOST_CURVES = 18
+"""Largest number of curves of a panel: nine colors with two line styles each."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve: its name in the legend, and values (n,) of x and y."""
+
+    name: str
+    x: np.ndarray
+    y: np.ndarray
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves with the same axes; the titles contain units."""
+
+    x_title: str
+    y_title: str
+    curves: tuple[Curve, ...]
+
+
+def series_of(source: Path) -> tuple[Path, TimeSeriesTable]:
+    """File and time series of the directory of a run, or of a CSV file with a column `time`.
+
+    Raises GranflowError if there is no such file or if it has no rows.
+    """
+    path = source / "timeseries.csv" if source.is_dir() else source
+    if not path.exists():
+        reason = f"{source} contains no timeseries.csv" if source.is_dir() else f"{source} does not exist"
+        raise GranflowError(f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times.")
+    series = read_series(path)
+    if series is None:
+        raise GranflowError(f"{path} has no rows with a column time.")
+    return path, series
+
+
+def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequence[str] = ()) -> list[Panel]:
+    """One panel for each unit of the quantities `y`, with the curves of all sources over `x`.
+
+    `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages, and for
+    more curves than MOST_CURVES.
+    """
+    found = [series_of(source) for source in sources]
+    names = short_names(sources)
+    panels: dict[str, list[tuple[str, SeriesColumn, SeriesColumn]]] = {}
+    for name, (path, series) in zip(names, found, strict=True):
+        rows = _rows(series, stages, path)
+        horizontal = quantity_of(series, x, str(path))
+        for text in y:
+            column = quantity_of(series, text, str(path))
+            label = ", ".join([name] * (len(found) > 1) + [_label(column)] * (len(y) > 1)) or _label(column)
+            parts = (_selected(horizontal, rows), _selected(column, rows))
+            panels.setdefault(column.unit, []).append((label, *parts))
+    largest = max(len(curves) for curves in panels.values())
+    if largest > MOST_CURVES:
+        raise GranflowError(
+            f"{numbered(largest, 'curve')} are too many for one plot; choose at most {MOST_CURVES} with --y or fewer "
+            "runs."
+        )
+    return [_panel(curves) for curves in panels.values()]
+
+
+def _panel(curves: Sequence[tuple[str, SeriesColumn, SeriesColumn]]) -> Panel:
+    """Panel of curves, each with its name and its columns of x and y; all of one unit."""
+    columns = [column for _, _, column in curves]
+    title = _label(columns[0]) if len({each.name for each in columns}) == 1 else common_title(columns) or "value"
+    found = tuple(Curve(name, horizontal.values, column.values) for name, horizontal, column in curves)
+    return Panel(_with_unit(_label(curves[0][1]), curves[0][1].unit), _with_unit(title, columns[0].unit), found)
+
+
+def short_names(sources: Sequence[Path]) -> list[str]:
+    """The last parts of the paths: as few as make all different."""
+    parts = [source.resolve().parts for source in sources]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-count:]) for each in parts]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def _rows(series: TimeSeriesTable, stages: Sequence[str], path: Path) -> np.ndarray:
+    """Mask (n,) of the rows of the stages, or of all rows. Raises GranflowError if a stage has no rows."""
+    names = dict.fromkeys(name for _, name in series.stages)
+    for stage in stages:
+        if stage not in names:
+            raise GranflowError(
+                f"{path} has no rows of the stage {stage}; its stages are: {', '.join(names) or 'none'}."
+            )
+    return np.isin(series.stage, list(stages)) if stages else np.ones(len(series.time), dtype=bool)
+
+
+def _selected(column: SeriesColumn, rows: np.ndarray) -> SeriesColumn:
+    return SeriesColumn(column.name, column.unit, column.values[rows])
+
+
+def _label(column: SeriesColumn) -> str:
+    """Name of a column for display; an expression as it is written."""
+    return column.text if WORD.fullmatch(column.name) else column.name
+
+
+def _with_unit(title: str, unit: str) -> str:
+    return title + (f" ({unit})" if unit not in ("", "1") else "")
