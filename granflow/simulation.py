@@ -22,6 +22,7 @@ from granflow.run_start import engine_for, run_start
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import saved_parameters
+from granflow.runs.rank_frames import write_pieces
 from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
@@ -104,7 +105,8 @@ class Simulation:
         refuse_other_object(scene)
         if communicator is not None:
             refuse_on_ranks(arch, forces)
-        resume = checkpoint_at(resume) if isinstance(resume, Path | str) else resume
+        if isinstance(resume, Path | str):
+            resume = checkpoint_at(resume, "all" if communicator is None else "root")
         scene = scene.with_precision(precision)
         backend = start(arch, scene.run.precision, threads)
         self.files = RunDirectory(None if out is None else Path(out), scene, resume, overwrite)
@@ -114,8 +116,9 @@ class Simulation:
         )  # fmt: skip
         self.warnings, plan = begin.warnings, begin.plan
         self.files.create()
-        self.observers = ObserverList(observers_for(plan, self.files.path, progress, self.files.writer), observers)
         engine = engine_for(plan, backend, communicator)
+        from_scene = observers_for(plan, self.files.path, progress, self.files.writer, write_pieces(engine))
+        self.observers = ObserverList(from_scene, observers)
         self._state = RunState(engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original)
         self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)

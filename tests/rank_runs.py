@@ -25,6 +25,7 @@ from sheared_scenes import sheared_gas  # noqa: E402
 
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
+from granflow.engine.host_particles import joined_particles  # noqa: E402
 from granflow.parallel import decomposition, rank_engine  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
@@ -215,10 +216,15 @@ def save(path, simulation):
 
 def histories(engine):
     """Contact histories of all particles, ordered by the ids of owner and partner."""
-    particles = engine.saved_particles().by_id()
+    particles = joined_particles(engine.on_each_rank(own_particles)).by_id()
     found = particles.histories
     pairs = np.stack([particles.arrays["id"][found.owner], found.partner])
     return {"history.pairs": pairs} | {f"history.{slot}": values for slot, values in found.values.items()}
+
+
+def own_particles(engine, _rank):
+    """Particles and contact histories of one rank."""
+    return engine.saved_particles()
 
 
 class ObservedEngine(RankEngine):

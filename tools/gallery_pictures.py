@@ -8,12 +8,16 @@ A directory has the name of its scene; `dosta2024_drum` is the scene dosta2024/d
 import subprocess
 import sys
 import tempfile
+from dataclasses import fields
 from pathlib import Path
 
 from imageio_ffmpeg import get_ffmpeg_exe
 from PIL import Image
 
+from granflow.cli.main import build_parser
+from granflow.studies.render.film import write_film
 from granflow.studies.render.frames import frames_of
+from granflow.studies.render.render import PictureStyle, pictures
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pages" / "gallery"
 SIZE = "640x480"
@@ -55,12 +59,24 @@ def render(directory: Path) -> None:
         image, film = Path(folder) / "picture.png", Path(folder) / "film.mp4"
         granflow_render(directory, image, [*options, "--size", SIZE])
         Image.open(image).convert("RGB").save(PICTURES / f"{directory.name}.jpg", quality=JPEG_QUALITY)
-        fps = len(frames_of(directory)) / FILM_SECONDS
         moving = [each for each in options if each not in STILL]
-        granflow_render(directory, film, [*moving, "--film", "--fps", f"{fps:.3g}", "--size", FILM_SIZE])
-        filters = ["-vf", f"fps={min(fps, FILM_RATE):.3g}"]
-        coded = [get_ffmpeg_exe(), "-y", "-loglevel", "error", "-i", str(film), *filters, *FILM_CODING]
+        render_film(directory, film, style_of(directory, [*moving, "--size", FILM_SIZE]))
+        coded = [get_ffmpeg_exe(), "-y", "-loglevel", "error", "-i", str(film), *FILM_CODING]
         subprocess.run([*coded, str(PICTURES / f"{directory.name}.mp4")], check=True)
+
+
+def style_of(directory: Path, arguments: list[str]) -> PictureStyle:
+    """Style of the pictures for arguments of `granflow render`."""
+    options = build_parser().parse_args(["render", str(directory), *arguments])
+    return PictureStyle(**{field.name: getattr(options, field.name) for field in fields(PictureStyle)})
+
+
+def render_film(directory: Path, out: Path, style: PictureStyle) -> None:
+    """Renders a film of FILM_SECONDS from evenly spaced frames, at most FILM_RATE per second."""
+    frames = frames_of(directory)
+    chosen = frames[:: max(1, round(len(frames) / (FILM_SECONDS * FILM_RATE)))]
+    rate = len(chosen) / FILM_SECONDS
+    write_film(out, pictures(directory, chosen, style, rate), rate)
 
 
 def granflow_render(directory: Path, out: Path, arguments: list[str]) -> None:

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 EXIT_EXPECTATIONS_FAILED = 1
 """Exit code of a complete run with an expectation that is not satisfied."""
 
-RESULT_SUFFIXES = (".vtu", ".csv", ".npz")
+RESULT_SUFFIXES = (".vtu", ".pvtu", ".csv", ".npz")
 """File types of results that take computing time."""
 SCENE = "scene_as_run.yaml"
 """Name of the resolved scene in the output directory."""
 
 CHANGES = """\
 These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
-  output.interval, .timeseries_interval, .particles, .contacts, .walls, .checkpoint
+  output.interval, .timeseries_interval, .particles, .frames_per_rank, .contacts, .walls, .checkpoint
   run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage and later
     ones, or of the last stage of a completed run; stages added at the end
   stages, appears_at and vanishes_at of walls: opening a gate
@@ -76,7 +76,7 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
     from granflow.simulation import Simulation
 
     printed: list[str] = []
-    checkpoint = checkpoint_to_resume(out, options.from_start, printed)
+    checkpoint = checkpoint_to_resume(out, options.from_start, printed, communicator is not None)
     scene = scene_to_resume(options, checkpoint)
     simulation = Simulation(
         scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
@@ -92,12 +92,14 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
     return run_to_end(simulation, scene, out, options.until, printed)
 
 
-def checkpoint_to_resume(out: Path, from_start: bool, printed: list[str]) -> "Checkpoint | None":
+def checkpoint_to_resume(
+    out: Path, from_start: bool, printed: list[str], on_ranks: bool = False
+) -> "Checkpoint | None":
     """Return the newest intact checkpoint, or None to run from the start.
 
     Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
-    otherwise raises GranflowError. Damaged checkpoints and a restored previous run cause warnings on stderr, which are
-    added to `printed`.
+    otherwise raises GranflowError. `on_ranks`: each rank reads its part of the particles later. Damaged checkpoints
+    and a restored previous run cause warnings on stderr, which are added to `printed`.
     """
     from granflow.io.checkpoint import newest_checkpoint
     from granflow.runs.previous import restore_previous_run, results_in
@@ -105,7 +107,7 @@ def checkpoint_to_resume(out: Path, from_start: bool, printed: list[str]) -> "Ch
     printed += warned(restore_previous_run(out))
     if from_start:
         return None
-    checkpoint, skipped = newest_checkpoint(out)
+    checkpoint, skipped = newest_checkpoint(out, "root" if on_ranks else "all")
     printed += warned(skipped)
     results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
     if checkpoint is None and results and (out / SCENE).exists():
@@ -124,7 +126,7 @@ def _resumed_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
     from granflow.plan.build import plan_for
     from granflow.runs.python_changes import changed_plan
 
-    checkpoint = None if options.from_start else newest_checkpoint(options.directory)[0]
+    checkpoint = None if options.from_start else newest_checkpoint(options.directory, "header")[0]
     scene = scene_to_resume(options, checkpoint)
     return scene, plan_for(scene) if checkpoint is None else changed_plan(plan_for(scene), checkpoint)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from granflow.engine.exact_sums import exact_sum
 from granflow.engine.frozen_masks import mobility_mask
+from granflow.engine.ranks import ALONE, Gathering
 
 
 @dataclass
@@ -100,7 +101,9 @@ SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.typ
 """Type of each count, mass and energy of Accounting by name."""
 
 
-def mechanical_energy(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> tuple[float, float, float]:
+def mechanical_energy(
+    arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE
+) -> tuple[float, float, float]:
     """Kinetic, rotational and gravitational energy [J] of the particles; a fixed particle contributes none.
 
         m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        the same for any order of the particles
@@ -108,15 +111,16 @@ def mechanical_energy(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> 
     arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
               angular_velocity (n, 3) [rad/s]
     gravity:  (3,) [m/s2]
+    ranks:    adds up the energies of all ranks, each of which has arrays of its own particles
     """
     mass = arrays["mass"].astype(float) * mobility_mask(arrays)
-    kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]))
+    kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]), ranks)
     rotational = 0.0
     if "angular_velocity" in arrays:
         inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
-        rotational = 0.5 * exact_sum(inertia * _squares(arrays["angular_velocity"]))
+        rotational = 0.5 * exact_sum(inertia * _squares(arrays["angular_velocity"]), ranks)
     x, y, z = arrays["position"].astype(float).T
-    return kinetic, rotational, -exact_sum(mass * (x * gravity[0] + y * gravity[1] + z * gravity[2]))
+    return kinetic, rotational, -exact_sum(mass * (x * gravity[0] + y * gravity[1] + z * gravity[2]), ranks)
 
 
 def _squares(vectors: np.ndarray) -> np.ndarray:

@@ -7,13 +7,11 @@ the positions of that time: the next one is then due at the same step as in the 
 """
 
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
-from granflow.engine.contact_histories import Histories
 from granflow.engine.engine import Engine
-from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles
-from granflow.engine.saved_sums import refuse_other_names
+from granflow.engine.saved_particles import RankFiles, host_particles
 from granflow.geometry.motion import Motion
 
 SavedState = dict[str, Any]
@@ -31,43 +29,66 @@ CLOCKS = {
 """Attributes of Timing that a checkpoint contains, with their types."""
 
 
+class RankFileWriter(Protocol):
+    """Writes the particles of MPI ranks; each rank has a copy."""
+
+    def write(self, rank: int, count: int, saved: SavedState) -> dict[str, Any]:
+        """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint. Raises OSError."""
+
+
+def rank_file_entries(engine: Engine, writer: RankFileWriter) -> list[dict[str, Any]]:
+    """Let all MPI ranks but the root write their particles; returns the entries of the checkpoint. Raises OSError."""
+    entries = engine.on_each_rank(partial(_write_rank_file, writer=writer))
+    return [entry for entry in entries if entry is not None]
+
+
+def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter) -> dict[str, Any] | None:
+    """Write the particles of this rank; the checkpoint itself contains those of the root."""
+    return writer.write(rank, engine.state.count, saved_particles(engine)) if rank else None
+
+
+def saved_particles(engine: Engine) -> SavedState:
+    """Particles and contacts of this rank, in the order of the ids, as in `saved_state`."""
+    particles = engine.saved_particles().by_id()
+    contacts = particles.histories
+    return {
+        "particles": particles.arrays,
+        "contacts": {"count": contacts.count, "partner": contacts.partner, **contacts.values},
+    }
+
+
 def saved_state(engine: Engine) -> SavedState:
     """The state of the engine that determines how it continues, without the data of the scene.
 
     Nested dictionaries of numbers and numpy arrays; particle arrays (n,) or (n, 3) in the order of the ids; contacts as
-    `Histories`, with histories by the slots of the contact models.
+    `Histories`, with histories by the slots of the contact models. On MPI ranks, the particles of the root only.
     """
-    state, particles = engine.state, engine.saved_particles().by_id()
-    contacts = particles.histories
+    state = engine.state
     return {
         "clock": state.clock.state_dict(),
         "clock_at_rebuild": None if engine.is_changed else engine.stepper.clock_at_rebuild,
         "steps_since_update": engine.steps_since_update,
-        "particle_count": len(particles.arrays["id"]),
+        "particle_count": engine.particle_count,
         "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
         "accounting": engine.accounting.state_dict(),
         "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
-        "particles": particles.arrays,
-        "contacts": {"count": contacts.count, "partner": contacts.partner, **contacts.values},
+        **saved_particles(engine),
         **engine.saved_sums(),
     }
 
 
-def restore_state(engine: Engine, saved: SavedState, motions: Sequence[Sequence[Motion]]) -> None:
+def restore_state(
+    engine: Engine, saved: SavedState, motions: Sequence[Sequence[Motion]], files: RankFiles | None = None
+) -> None:
     """Restore a state into a new engine.
 
     saved:    result of `saved_state`. Without `clock_at_rebuild`, a rebuild must follow after a change
     motions:  motions of each wall
+    files:    files of MPI ranks with further particles; None if `saved` contains all
     Raises:   GranflowError if the scene needs other arrays than the saved state has, or has other force-controlled
-              motions
+              motions, or a file is invalid
     """
-    table, history = saved_particle_table(engine.state), engine.plan.history
-    refuse_other_names(saved["particles"], table.fields)
-    contacts = dict(saved["contacts"])
-    count, partner = contacts.pop("count"), contacts.pop("partner")
-    refuse_other_names(contacts, history if len(partner) or contacts else {})
-    particles = HostParticles(saved["particles"], Histories(count, partner, contacts))
     rest = {name: value for name, value in saved.items() if name not in ("particles", "contacts")}
-    engine.restore(rest, particles, motions)
+    engine.restore(rest, host_particles(engine.state, saved), motions, files)
     for name in CLOCKS:
         setattr(engine.timing, name, saved["clocks"][name])

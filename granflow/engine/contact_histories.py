@@ -83,11 +83,14 @@ class ListedHistories(Histories):
 
 
 def joined_histories(parts: list[Histories]) -> Histories:
-    """The histories of several parts, one part after the other."""
+    """The histories of several parts, one part after the other; those of one part are not copied."""
+    filled = [part for part in parts if len(part.count)] or parts[:1]
+    if len(filled) == 1:
+        return filled[0]
     return Histories(
-        np.concatenate([part.count for part in parts]),
-        np.concatenate([part.partner for part in parts]),
-        {slot: np.concatenate([part.values[slot] for part in parts]) for slot in parts[0].values},
+        np.concatenate([part.count for part in filled]),
+        np.concatenate([part.partner for part in filled]),
+        {slot: np.concatenate([part.values[slot] for part in filled]) for slot in filled[0].values},
     )
 
 

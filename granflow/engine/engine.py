@@ -1,8 +1,8 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
 import weakref
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from granflow.engine.insertion import new_particle_arrays
 from granflow.engine.integrate import build_kick
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.readings import MOTION, Readings
+from granflow.engine.saved_particles import RankFiles
 from granflow.engine.saved_sums import load_sums, load_wall_dynamics, saved_sums, saved_wall_dynamics
 from granflow.engine.stability_monitor import StabilityMonitor
 from granflow.engine.state import FreedState, State
@@ -29,6 +30,8 @@ from granflow.geometry.motion import Motion, pose
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
 from granflow.plan.plan import Plan
+
+_T = TypeVar("_T")
 
 
 class Engine(Readings):
@@ -200,19 +203,30 @@ class Engine(Readings):
             self.stepper.discard_poses()
 
     def saved_particles(self) -> HostParticles:
-        """All particles with their contact histories, for a checkpoint."""
+        """The particles of this process with their contact histories, for a checkpoint."""
         return self.stepper.saved_particles()
 
     def saved_sums(self) -> dict[str, Any]:
         """Sums and force-controlled walls, for a checkpoint."""
         return {"energy_budget": saved_sums(self.state), "wall_dynamics": saved_wall_dynamics(self.state)}
 
-    def restore(self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]) -> None:
+    def on_each_rank(self, task: "Callable[[Engine, int], _T]") -> list[_T]:
+        """Results of task(engine, rank) on all MPI ranks; one without MPI. Raises OSError of any task."""
+        return [task(self, 0)]
+
+    def restore(
+        self,
+        saved: Mapping[str, Any],
+        particles: HostParticles,
+        motions: Sequence[Sequence[Motion]],
+        files: RankFiles | None = None,
+    ) -> None:
         """Continue from a checkpoint.
 
         saved:      as `engine.checkpoint.saved_state`, without the particles and the clocks
         particles:  in the order of their ids
         motions:    motions of each wall
+        files:      None: only MPI ranks read files with further particles
         """
         self._restore_lists(saved, particles, motions)
         self.state.clock.load_state_dict(saved["clock"])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.ranks import ALONE, Gathering
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import CARRY_BITS
@@ -215,10 +216,15 @@ def exact_total(values: np.ndarray) -> float:
     return float((int(high.sum()) << CARRY_BITS) + int((values - (high << CARRY_BITS)).sum()))
 
 
-def exact_sum(values: np.ndarray) -> float:
-    """Sum of numbers (n,), the same for any order; each is rounded to 2^-62 of n times the largest magnitude."""
-    largest = float(np.abs(values).max(initial=0.0))
+def exact_sum(values: np.ndarray, ranks: Gathering = ALONE) -> float:
+    """Sum of numbers (n,) of all ranks, the same for any order.
+
+    Each is rounded to 2^-62 of their number times the largest magnitude.
+    """
+    magnitude = float(np.abs(values).max(initial=0.0))
+    largest = ranks.largest(magnitude if np.isfinite(magnitude) else np.inf)
     if not np.isfinite(largest) or largest == 0.0:
-        return float(values.sum())
-    exponent = scale_exponent(largest, len(values))
-    return float(np.ldexp(float(np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()), -exponent))
+        return float(ranks.total(np.array([values.sum()], float))[0])
+    exponent = scale_exponent(largest, int(ranks.total(np.array([len(values)]))[0]))
+    units = np.rint(np.ldexp(values.astype(float), exponent)).astype(np.int64).sum()
+    return float(np.ldexp(float(ranks.total(np.array([units]))[0]), -exponent))

@@ -12,6 +12,7 @@ import numpy as np
 from granflow.engine.accounting import mechanical_energy
 from granflow.engine.exact_sums import REDUCED_ROWS, build_to_nearest, exact_total, scale_exponent
 from granflow.engine.frozen_masks import build_mobility, mobility_mask
+from granflow.engine.ranks import ALONE, Gathering
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
@@ -43,20 +44,23 @@ class ParticleSums:
     wall_contact_count: float
 
 
-def host_sums(arrays: Mapping[str, np.ndarray], gravity: np.ndarray) -> ParticleSums:
+def host_sums(arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE) -> ParticleSums:
     """Sums of particles on the host.
 
     arrays:   as for `mechanical_energy`, and coordination_number (n,), wall_contact_count (n,) with walls, fixed (n,)
               with fixed particles
     gravity:  (3,) [m/s2]
+    ranks:    adds up the sums of all ranks
     """
     mobile, walls = mobility_mask(arrays), arrays.get("wall_contact_count", np.zeros(0))
+    sums = [len(arrays["mass"]), mobile @ arrays["coordination_number"], mobile.sum(), walls.sum()]
+    count, contacts, mobile_count, wall_contacts = ranks.total(np.array([sums], float))[0].tolist()
     return ParticleSums(
-        count=len(arrays["mass"]),
-        energies=mechanical_energy(arrays, gravity),
-        speed=largest_speed(arrays["velocity"]),
-        coordination_number=float(mobile @ arrays["coordination_number"] / max(mobile.sum(), 1.0)),
-        wall_contact_count=float(walls.sum()),
+        count=int(count),
+        energies=mechanical_energy(arrays, gravity, ranks),
+        speed=ranks.largest(largest_speed(arrays["velocity"])),
+        coordination_number=contacts / max(mobile_count, 1.0),
+        wall_contact_count=wall_contacts,
     )
 
 

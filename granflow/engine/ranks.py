@@ -12,16 +12,16 @@ NO_CHANGES = "Changes from Python do not work on MPI ranks: run without a commun
 
 
 class Gathering(Protocol):
-    """Combines what each rank has. All ranks call each function; the results are complete on the root only."""
+    """Combines what each rank has. All ranks call each function."""
 
     def total(self, words: np.ndarray) -> np.ndarray:
-        """Integers (n, ...), summed exactly over the first axis of all ranks if there are several."""
+        """Numbers (n, ...), summed over the first axis of all ranks if there are several; integers exactly."""
 
     def largest(self, value: float) -> float:
         """Largest value of all ranks."""
 
     def gathered(self, arrays: Arrays) -> Arrays:
-        """Arrays (n, ...) of all ranks, one rank after the other."""
+        """Arrays (n, ...) of all ranks, one rank after the other; complete on the root only."""
 
 
 class OneProcess:
@@ -38,3 +38,7 @@ class OneProcess:
     def gathered(self, arrays: Arrays) -> Arrays:
         """The arrays."""
         return arrays
+
+
+ALONE = OneProcess()
+"""Without MPI, or for arrays that are those of all ranks already."""

@@ -29,6 +29,9 @@ TIME_TOLERANCE = 1e-6
 MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque")
 """Fields that determine the mechanical energy at the time of the positions."""
 
+CONTACT_COUNTS = ("coordination_number", "wall_contact_count")
+"""Fields with the number of contacts of each particle."""
+
 
 class Readings:
     """The readable part of an engine: none of these functions changes the run, except for the records of `observe`."""
@@ -119,9 +122,10 @@ class Readings:
 
     def mean_kinetic_energy(self) -> float:
         """Mean translational and rotational kinetic energy [J] per particle that is not fixed."""
-        arrays = self.synchronized(MOTION)
-        kinetic, rotational, _ = mechanical_energy(arrays, self._gravity)
-        return (kinetic + rotational) / max(mobility_mask(arrays).sum(), 1.0)
+        arrays, ranks = self._own_synchronized(MOTION), self.state.ranks
+        kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
+        mobile_count = float(ranks.total(np.array([mobility_mask(arrays).sum()]))[0])
+        return (kinetic + rotational) / max(mobile_count, 1.0)
 
     def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
         """Snapshot of the present state, read-only arrays in SI units; the run continues as without it.
@@ -154,16 +158,29 @@ class Readings:
         return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
-        """Arrays of a snapshot in device order, and sums over the particles; a GPU adds them up without arrays."""
+        """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""
         if not (needs_arrays or self.state.backend.on_cpu):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
-        names = (each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
-        arrays = self.synchronized(tuple(names))
-        sums = host_sums(arrays, self._gravity)
-        arrays["position"], arrays["velocity"] = self.plan.periodic_box.wrap_with_velocity(
+        own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
+        sums = host_sums(own, self._gravity, self.state.ranks)
+        return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
+
+    def own_particles(self) -> dict[str, np.ndarray]:
+        """As `Snapshot.particles`, of this process only; all MPI ranks call this together."""
+        self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))  # contacts per particle
+        return ordered_particles(self._in_box(self._own_synchronized(self._shown)), self.accounting)
+
+    @property
+    def _shown(self) -> tuple[str, ...]:
+        """Fields of snapshots."""
+        return tuple(each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
+
+    def _in_box(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The arrays with positions in the periodic box, and the velocities there."""
+        position, velocity = self.plan.periodic_box.wrap_with_velocity(
             arrays["position"], arrays["velocity"], self.time
         )
-        return arrays, sums
+        return arrays | {"position": position, "velocity": velocity}
 
     def copied(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, as they are on the device."""
@@ -179,7 +196,11 @@ class Readings:
 
         Before the first step they are the initial values: a run that aborts there has not shifted them.
         """
-        arrays = self.copied(tuple(dict.fromkeys((*names, "fixed"))))
+        return self.state.ranks.gathered(self._own_synchronized(names))
+
+    def _own_synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """As `synchronized`, of the particles of this process."""
+        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, "fixed"))))
         if not self._started:
             return arrays
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]

@@ -33,8 +33,8 @@ LARGEST_ITEM = 8
 """Largest size of one number [bytes]."""
 
 
-def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the JSON header and the arrays by name, without the suffix ".npy".
+def read_archive(file: BinaryIO, with_arrays: bool = True) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the JSON header and the arrays by name, without the suffix ".npy"; without arrays, none.
 
     `file`: seekable binary file. Arrays have at most three axes, C order and a native boolean, integer or real type of
     at most 8 bytes.
@@ -46,7 +46,7 @@ def read_archive(file: BinaryIO) -> tuple[dict[str, Any], dict[str, np.ndarray]]
         with zipfile.ZipFile(file) as archive:
             entries = _entries(archive, file.seek(0, 2))
             header = json.loads(archive.read(entries.pop(HEADER)))
-            arrays = {name: _array(archive, entry) for name, entry in entries.items()}
+            arrays = {name: _array(archive, entry) for name, entry in entries.items() if with_arrays}
     except OSError:
         raise
     except RecursionError:

@@ -5,6 +5,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from granflow.errors import GranflowError
+from granflow.io.pvtu import SUFFIX, pieces_in, read_pvtu
 from granflow.io.regular_files import FormatError, open_regular
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_reader import read_vtu
@@ -56,14 +57,28 @@ def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
 
 
 def is_empty(path: Path) -> bool:
-    """Whether a VTU file is empty."""
+    """Whether a VTU file is empty, or all pieces of a PVTU file."""
+    if path.suffix == SUFFIX:
+        return all(map(is_empty, filter(Path.exists, _pieces(path))))
     with open_regular(path) as file:
         return EMPTY in file.read(HEADER_SIZE)
 
 
-def read_mesh(path: Path) -> VtuMesh:
-    """Mesh of a VTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
+def _pieces(path: Path) -> list[Path]:
+    """Files of a PVTU file. Raises GranflowError if it cannot be read."""
     try:
-        return read_vtu(path, LARGEST_FRAME)
+        return pieces_in(path)
     except (FormatError, OSError) as error:
-        raise GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> GranflowError:
+    return GranflowError(f"{path} cannot be read ({error}); remove this frame, or run again.")
+
+
+def read_mesh(path: Path) -> VtuMesh:
+    """Mesh of a VTU or PVTU file, empty for an empty file. Raises GranflowError if it cannot be read."""
+    try:
+        return (read_pvtu if path.suffix == SUFFIX else read_vtu)(path, LARGEST_FRAME)
+    except (FormatError, OSError) as error:
+        raise _unreadable(path, error) from None

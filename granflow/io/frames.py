@@ -1,6 +1,7 @@
 """A series of VTU files and the PVD file that lists them with their times."""
 
 import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from io import FileIO
 from pathlib import Path
@@ -8,12 +9,16 @@ from xml.sax.saxutils import quoteattr
 
 from granflow.io.atomic_files import replacing, sync_all
 from granflow.io.background_writer import BackgroundWriter
+from granflow.io.pvtu import SUFFIX, Piece, write_pvtu
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_writer import write_vtu
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
 """Closing tags of a PVD file; each new frame is written in their place."""
+
+WritePieces = Callable[[Path, str], Sequence[Piece]]
+"""Lets all MPI ranks write the pieces of a frame, given the directory and the name without suffix."""
 
 
 class FrameSeries:
@@ -41,13 +46,34 @@ class FrameSeries:
         """
         self._writer.submit(partial(self._write, mesh, time))
 
+    def write_pieces(self, write: WritePieces, time: float) -> None:
+        """Let MPI ranks write the next frame, at `time` [s], as one file each and a PVTU file that lists them.
+
+        Waits for the frames before it. Raises OSError; the PVD file then lists the earlier frames.
+        """
+        self._writer.wait()
+        frame = self._begin()
+        pieces = write(self.directory, frame)
+        path = self.directory / f"{frame}{SUFFIX}"
+        write_pvtu(path, pieces)
+        self._end(path, time)
+        self._unsynced += [self.directory / piece.name for piece in pieces]
+
     def _write(self, mesh: VtuMesh, time: float) -> None:
         """Write a frame and list it. Raises OSError."""
+        path = self.directory / f"{self._begin()}.vtu"
+        write_vtu(path, mesh)
+        self._end(path, time)
+
+    def _begin(self) -> str:
+        """Prepare the directory for the first frame; return the name of the next frame, without suffix."""
         if not self.frame_count:
             self.directory.mkdir(parents=True, exist_ok=True)
             self.truncate()
-        path = self.directory / f"{self.stem}_{self.frame_count:04d}.vtu"
-        write_vtu(path, mesh)
+        return f"{self.stem}_{self.frame_count:04d}"
+
+    def _end(self, path: Path, time: float) -> None:
+        """List the frame that has been written."""
         self._list((float(time), path.name))
         self.frame_count += 1
         self._unsynced.append(path)
@@ -86,15 +112,17 @@ class FrameSeries:
 
         Raises OSError if a file cannot be deleted.
         """
-        own_pattern = re.compile(re.escape(self.stem) + r"_\d{4,}\.vtu")
+        own_pattern = re.compile(re.escape(self.stem) + r"_\d{4,}(\.\d{4,}\.vtu|\.p?vtu)")
         there = {path.name for path in self.directory.iterdir() if own_pattern.fullmatch(path.name)}
         self.frames = [frame for frame in self.frames if frame[1] in there]
         if self.frame_count:
             self._write_listing(self.frames)
         else:
             self.listing.unlink(missing_ok=True)
-        for name in there.difference(name for _, name in self.frames):
-            (self.directory / name).unlink()
+        listed = {name for _, name in self.frames}
+        for name in there - listed:
+            if f"{name.partition('.')[0]}{SUFFIX}" not in listed:  # pieces of a listed frame remain
+                (self.directory / name).unlink()
 
 
 def _entry(time: float, name: str) -> bytes:

@@ -35,7 +35,7 @@ def read_vtu(path: Path, largest: int) -> VtuMesh:
     """
     text, appended = _split_appended_data(read_regular(path, LARGEST_FILE))
     try:
-        return _mesh_of(_tree(text), appended, largest)
+        return _mesh_of(xml_of(text), appended, largest)
     except (KeyError, ValueError, TypeError, ArithmeticError, MemoryError, binascii.Error) as error:
         raise FormatError(f"cannot be read as VTU: {_sentence(error)}") from None
 
@@ -57,7 +57,7 @@ def _split_appended_data(raw: bytes) -> tuple[bytes, bytes]:
     return raw[: start.end() - 1] + raw[end:], raw[start.end() : end]
 
 
-def _tree(text: bytes) -> ElementTree.Element:
+def xml_of(text: bytes) -> ElementTree.Element:
     """XML elements. Raises FormatError for a document type, before any entity expands, and for deep nesting."""
     builder, depth = ElementTree.TreeBuilder(), 0
     parser = expat.ParserCreate()

@@ -83,11 +83,15 @@ def _cell_arrays(blocks: list[CellBlock]) -> dict[str, np.ndarray]:
 def _array(name: str, values: np.ndarray, encoded: Callable[[memoryview], bytes]) -> Iterator[bytes]:
     """A DataArray (n,) or (n, components) in base64."""
     little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
-    kind = f"{TYPE_NAMES[little.dtype.kind]}{8 * little.itemsize}"
     components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim > 1 else ""
-    yield f'<DataArray type="{kind}" Name={quoteattr(name)}{components} format="binary">'.encode()
+    yield f'<DataArray type="{type_name(little.dtype)}" Name={quoteattr(name)}{components} format="binary">'.encode()
     yield encoded(little.reshape(-1).view(np.uint8).data)
     yield b"</DataArray>\n"
+
+
+def type_name(dtype: np.dtype) -> str:
+    """The VTK name of a type, such as Float32."""
+    return f"{TYPE_NAMES[dtype.kind]}{8 * dtype.itemsize}"
 
 
 def _compressed(data: memoryview) -> bytes:

@@ -1,5 +1,6 @@
 """Builds the observers that the `output:` block of a scene specifies."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from granflow.geometry.catalog import area_of, triangles
 from granflow.io.background_writer import BackgroundWriter
+from granflow.io.frames import WritePieces
 from granflow.observers.base import Observer
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.coarse_graining.field_grid import grid_for
@@ -21,12 +23,18 @@ from granflow.plan.plan import Plan
 
 
 def observers_for(
-    plan: Plan, out_dir: Path | None, progress: bool = False, writer: BackgroundWriter | None = None
+    plan: Plan,
+    out_dir: Path | None,
+    progress: bool = False,
+    writer: BackgroundWriter | None = None,
+    write_pieces: Callable[[float | None], WritePieces] | None = None,
 ) -> list[Observer]:
     """Return the observers of the output block, and the progress display if `progress`.
 
-    `writer` writes the frames, at once by default. Order: time series, particle frames, contact frames, wall frames,
-    one per block of `output.fields`. Without `out_dir`, only the time series, without a file, if it has meters.
+    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without
+    MPI ranks. Order: time series,
+    particle frames, contact frames, wall frames, one per block of `output.fields`. Without `out_dir`, only the time
+    series, without a file, if it has meters.
     """
     output = plan.output
     observers: list[Observer] = []
@@ -34,7 +42,9 @@ def observers_for(
     if out_dir is not None or output.flow_meters or output.metrics or plan.measured_walls or has_conditions:
         observers.append(time_series_for(plan, out_dir))
     if out_dir is not None and output.particles:
-        observers.append(ParticleFrames(out_dir, output.interval, writer=writer, reach=_max_coordinate(plan)))
+        reach = _max_coordinate(plan)
+        pieces = write_pieces(reach) if write_pieces and output.frames_per_rank else None
+        observers.append(ParticleFrames(out_dir, output.interval, 0.0, writer, reach, pieces))
     if out_dir is not None and output.contacts:
         observers.append(ContactFrames(out_dir, output.interval, writer=writer))
     if out_dir is not None and output.walls and plan.walls:

@@ -9,7 +9,7 @@ import numpy as np
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
 from granflow.geometry.mesh.mesh import triangle_areas
 from granflow.io.background_writer import BackgroundWriter
-from granflow.io.frames import FrameSeries
+from granflow.io.frames import FrameSeries, WritePieces
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.observers.base import CONTACTS, PARTICLES, WALLS
 from granflow.observers.schedule import ScheduledObserver
@@ -42,8 +42,12 @@ class Frames(ScheduledObserver):
     def observe(self, snapshot: Snapshot) -> None:
         """Write one frame, due or not; a second snapshot of the same time has no effect."""
         if snapshot.time != self._schedule.last_time:
-            self.series.write(self.mesh(snapshot), snapshot.time)
+            self.write(snapshot)
             self._schedule.mark_done(snapshot.time)
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Write one frame."""
+        self.series.write(self.mesh(snapshot), snapshot.time)
 
     def state_dict(self) -> dict[str, Any]:
         """Flush the frames to the disk; return their list and number."""
@@ -71,10 +75,10 @@ class ParticleFrames(Frames):
 
     `reach` [m]: largest absolute coordinate (from the domain), which determines whether float32 positions resolve 1e-4
     of the smallest radius. If None, the positions of each frame determine it. Positions that float32 does not resolve
-    are written as float64. Types of the other arrays: `granflow.fields`.
+    are written as float64. Types of the other arrays: `granflow.fields`. `write_pieces`: lets MPI ranks write
+    `particles_NNNN.pvtu` and one file each instead.
     """
 
-    wants = frozenset({PARTICLES})
     stem = "particles"
 
     def __init__(
@@ -84,27 +88,39 @@ class ParticleFrames(Frames):
         start: float = 0.0,
         writer: BackgroundWriter | None = None,
         reach: float | None = None,
+        write_pieces: WritePieces | None = None,
     ) -> None:
         super().__init__(directory, interval, start, writer)
-        self._reach = reach
+        self._reach, self._write_pieces = reach, write_pieces
+        self.wants = frozenset() if write_pieces else frozenset({PARTICLES})
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Write one frame."""
+        if self._write_pieces is None:
+            super().write(snapshot)
+        else:
+            self.series.write_pieces(self._write_pieces, snapshot.time)
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
-        """Return the mesh of one frame, with `diameter` [m] and `kinetic_energy` [J] computed from other arrays."""
-        particles = _with_derived(snapshot.particles)
-        points = self._points(particles["position"], particles["radius"])
-        arrays = {
-            name: field.for_file(particles[name])
-            for name, field in PARTICLE_QUANTITIES.items()
-            if field.displayed and name in particles
-        }
-        return VtuMesh.of_points(points, arrays)
-
-    def _points(self, position: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """Return the positions (n, 3) [m] as float32, or float64 if float32 is too coarse for the smallest radius."""
+        """Return the mesh of one frame, see `particle_mesh`."""
+        position, radius = snapshot.particles["position"], snapshot.particles["radius"]
         reach = self._reach if self._reach is not None else np.abs(position).max(initial=0.0)
-        rounding = 0.5 * np.spacing(np.float32(reach))
-        resolved = rounding <= POSITION_TOLERANCE * radius.min(initial=np.inf)
-        return position.astype(np.float32 if resolved else np.float64)
+        return particle_mesh(snapshot.particles, reach, radius.min(initial=np.inf))
+
+
+def particle_mesh(particles: Mapping[str, np.ndarray], reach: float, radius_min: float) -> VtuMesh:
+    """Return the mesh of particles, with `diameter` [m] and `kinetic_energy` [J] computed from other arrays.
+
+    `reach` [m]: largest absolute coordinate; `radius_min` [m]: smallest radius of all particles of the frame.
+    """
+    particles = _with_derived(particles)
+    resolved = 0.5 * np.spacing(np.float32(reach)) <= POSITION_TOLERANCE * radius_min
+    arrays = {
+        name: field.for_file(particles[name])
+        for name, field in PARTICLE_QUANTITIES.items()
+        if field.displayed and name in particles
+    }
+    return VtuMesh.of_points(particles["position"].astype(np.float32 if resolved else np.float64), arrays)
 
 
 class ContactFrames(Frames):

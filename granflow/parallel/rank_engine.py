@@ -1,9 +1,9 @@
 """The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
 
 import gc
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -11,18 +11,23 @@ from granflow.engine.backend import Backend
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.engine import Engine
 from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles, joined_particles
+from granflow.engine.host_particles import HostParticles
 from granflow.engine.limits import ABORT_WALL, Diagnosis
 from granflow.engine.ranks import NO_CHANGES
+from granflow.engine.saved_particles import RankFiles
 from granflow.engine.stepper import Stepper
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
+from granflow.io.checkpoint_file import CheckpointError
+from granflow.parallel.checkpoint_share import share_of_checkpoint
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
 from granflow.plan.plan import Plan
 from granflow.plan.ranks import rank_plan
 from granflow.snapshot import Snapshot
+
+_T = TypeVar("_T")
 
 START, END = "start", "end"
 """Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
@@ -95,24 +100,39 @@ class RankEngine(Engine):
             part[name] = values[share].astype(example.dtype)
         self.stepper.pending.append(part)
 
-    def saved_particles(self) -> HostParticles:
-        """All particles with their contact histories on the root; those of this rank on the others."""
-        with self.communicator.commanding("saved_particles"):
-            own = super().saved_particles()
-            parts = self.communicator.to_root(own)
-        return joined_particles(parts) if parts else own
+    def on_each_rank(self, task: Callable[[Engine, int], _T]) -> list[_T]:
+        """As `Engine`; the results of all ranks on the root. `task` is a function of a module, or a partial one."""
+        found: _T | OSError
+        with self.communicator.commanding("on_each_rank", (task,)):
+            try:
+                found = task(self, self.communicator.rank)
+            except OSError as error:
+                found = error
+            results = self.communicator.to_root(found)
+        for result in results:
+            if isinstance(result, OSError):
+                raise result
+        return [result for result in results if not isinstance(result, OSError)]
 
     def restore(
         self,
         saved: Mapping[str, Any],
         particles: HostParticles | None,
         motions: Sequence[Sequence[Motion]],
+        files: RankFiles | None = None,
     ) -> None:
-        """As `Engine`; on the root with the particles and sums of all ranks, on the others without any."""
-        ranks = self.communicator.size
-        parts = None if particles is None else [*map(particles.of, np.array_split(np.arange(particles.count), ranks))]
-        with self.communicator.commanding("restore", (dict(saved) | {"energy_budget": {}}, None, motions)):
-            super().restore(saved, self.communicator.from_root(parts), motions)
+        """As `Engine`; on the root with particles and the sums of all ranks, on the others without any.
+
+        files:   of further particles; each rank reads a part of them
+        Raises:  GranflowError on the root for an invalid file
+        """
+        arguments = (dict(saved) | {"energy_budget": {}}, None, motions, files)
+        with self.communicator.commanding("restore", arguments):
+            share, problem = share_of_checkpoint(self.state, self.communicator, particles, files, saved["accounting"])
+            if problem is None:
+                super().restore(saved, share, motions)
+        if problem is not None and self.communicator.is_root:
+            raise CheckpointError(problem)
 
     def begin_change(self) -> None:
         """Raise GranflowError: the root has a part of the particles only."""

@@ -104,6 +104,11 @@ def _read(path: Path, changed: int, size: int) -> ParticleTable:
 
     Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
     """
+    if path.suffix.lower() == ".pvtu":
+        raise SceneError(
+            f"{path}: particles are not read from the files of several ranks; save them as one .vtu file, for example "
+            "in ParaView, or continue from the run with start_from."
+        )
     table, problems = (_frame(path), []) if path.suffix.lower() == ".vtu" else _text(path)
     reported = {line for line, _ in problems}
     problems = [*problems, *(each for each in _value_problems(table) if each[0] not in reported)]

@@ -6,9 +6,10 @@ from granflow.io.checkpoint_parts import Part
 from granflow.plan.plan import Plan
 
 
-def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan) -> None:
+def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan, complete: bool = True) -> None:
     """Check the contact histories of the particles with these ids (n,). Raises CheckpointError.
 
+    `complete`: whether these are all particles; otherwise partners can be in the files of other ranks.
     `count` (n,): contacts per particle. `partner` (contacts,): id of a particle, or a negative number for a wall or
     triangle. The histories (contacts, components) exist if the contact models have some.
     """
@@ -24,13 +25,13 @@ def check_contacts(contacts: Part, ids: np.ndarray, plan: Plan) -> None:
     partner = contacts["partner"].integers(total, low=-surfaces).astype(np.int64)
     for name in names:
         contacts[name].floats(total, plan.history[name])
-    _check_pairs(contacts["partner"], np.repeat(ids.astype(np.int64), count), partner, ids)
+    _check_pairs(contacts["partner"], np.repeat(ids.astype(np.int64), count), partner, ids, complete)
 
 
-def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray) -> None:
+def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.ndarray, complete: bool) -> None:
     """Check that each contact occurs once at each of its particles, which have the ids (n,). Raises CheckpointError."""
     particles = partner >= 0
-    if not np.isin(partner[particles], ids).all():
+    if complete and not np.isin(partner[particles], ids).all():
         raise part.error("names a particle that does not exist")
     if np.any(owner == partner):
         raise part.error("lists a particle as in contact with itself")
@@ -38,7 +39,7 @@ def _check_pairs(part: Part, owner: np.ndarray, partner: np.ndarray, ids: np.nda
     if len(np.unique(pairs, axis=0)) < len(pairs):
         raise part.error("lists a contact twice for one particle")
     forward, back = pairs[particles], pairs[particles][:, ::-1]
-    if not np.array_equal(_in_order(forward), _in_order(back)):
+    if complete and not np.array_equal(_in_order(forward), _in_order(back)):
         raise part.error("lists a contact between two particles at one of them only")
 
 

@@ -1,13 +1,18 @@
 """Schedule of the checkpoints of a run."""
 
 import time as clock
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from granflow.io.checkpoint import remove_old_checkpoints, write_checkpoint
+from granflow.io.rank_files import RankFileWriter
 from granflow.observers.schedule import Schedule
 from granflow.scene.schema.output import Checkpoints
+
+SavedBy = Callable[[RankFileWriter], dict[str, Any]]
+"""Returns the state for a checkpoint, after the writer has written the files of the other MPI ranks."""
 
 
 class CheckpointWriter:
@@ -38,13 +43,14 @@ class CheckpointWriter:
         """Return whether a checkpoint is due, by the simulated `time` [s] or by the wall clock."""
         return time >= self.next_time() or clock.monotonic() - self._written_at >= self._settings.wall_clock
 
-    def write(self, time: float, step: int, saved: dict[str, Any]) -> None:
+    def write(self, time: float, step: int, state: SavedBy) -> None:
         """Write a checkpoint and remove old ones; after an error the next one is due as after a success.
 
-        `time` [s], `step`: of the state `saved`, as in `write_checkpoint`. Raises OSError if the file cannot be
-        written.
+        `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be written.
         """
         self.start(time)
-        write_checkpoint(self._directory, self._scene_text, time, step, saved)
+        writer = RankFileWriter.of(self._directory, step)
+        write_checkpoint(self._directory, self._scene_text, time, step, state(writer))
+        writer.remove_replaced()
         remove_old_checkpoints(self._directory, self._settings.keep)
         self.last_time = time

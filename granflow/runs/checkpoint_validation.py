@@ -21,7 +21,7 @@ ROUNDING = 1e-5
 MOST_IDS = 2**31 - 1
 """Largest number of ids of a run."""
 
-KEYS = ("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "engine")
+KEYS = ("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "rank_files", "engine")
 """Keys of the state of a run."""
 
 
@@ -65,8 +65,8 @@ def check_engine(checkpoint: Checkpoint, plan: Plan, before: Scene) -> None:
     engine["clocks"].mapping(CLOCKS)
     for name, kind in CLOCKS.items():
         engine["clocks"][name].amount(kind, 0)
-    _check_particles(engine["particles"], engine["accounting"], plan, before)
-    check_contacts(engine["contacts"], engine["particles"]["id"].value, plan)
+    own = count - sum(file.count for file in checkpoint.rank_files)
+    check_particles(engine, own, engine["accounting"], plan, densities(before), complete=not checkpoint.rank_files)
     _check_wall_dynamics(engine["wall_dynamics"], plan)
     _check_arrays(engine["energy_budget"], saved_arrays(sum_arrays(plan)))
 
@@ -198,31 +198,39 @@ def _check_arrays(
             part[name].floats(*saved_shape)
 
 
-def _check_particles(particles: Part, accounting: Part, plan: Plan, before: Scene) -> None:
-    """Check shape and range of each particle array, and radius, mass and material against the scene.
+def densities(before: Scene) -> dict[str, float]:
+    """Density [kg/m3] of each material of the scene of a checkpoint, in the order of their numbers."""
+    return {name: material.density for name, material in before.materials.items()}
 
-    The mass must be density times 4/3 pi R^3, within the rounding of single precision.
+
+def check_particles(
+    engine: Part, count: int, accounting: Part, plan: Plan, density_by_name: Mapping[str, float], complete: bool
+) -> None:
+    """Check particles and contacts: shape and range of arrays, and radius, mass and material against the scene.
+
+    `engine`: with "particles", which must be `count`, and "contacts"; `density_by_name`: see `densities`; `complete`:
+    whether these are all particles. The mass must be density times 4/3 pi R^3, within the rounding of single precision.
+    Raises CheckpointError.
     """
-    inserted = accounting["inserted_count"].integer()
-    count = inserted - accounting["deleted_count"].integer()
+    particles, inserted = engine["particles"], accounting["inserted_count"].integer()
     arrays = saved_arrays(particle_arrays(plan))
     _check_arrays(particles, arrays, count)
     ids = particles["id"].distinct(count, high=inserted - 1)
     sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
     radius = particles["radius"].floats(count, low=sizes[0], high=sizes[1]).astype(float)
-    materials = list(before.materials.values())
-    number = accounting["material"].integers(inserted, high=len(materials) - 1)[ids]
-    mass = 4.0 / 3.0 * pi * radius**3 * np.array([material.density for material in materials])[number]
+    number = accounting["material"].integers(inserted, high=len(density_by_name) - 1)[ids]
+    mass = 4.0 / 3.0 * pi * radius**3 * np.array([*density_by_name.values()])[number]
     if np.any(np.abs(particles["mass"].floats(count) - mass) > ROUNDING * mass):
         raise particles["mass"].error("differs from density times volume")
     if "fixed" in arrays:
         particles["fixed"].integers(count, high=1)
     if "material" in arrays:
         known = {name: index for index, name in enumerate(plan.materials)}
-        expected = np.array([known.get(name, 0) for name in before.materials])[number]
+        expected = np.array([known.get(name, 0) for name in density_by_name])[number]
         if np.any(particles["material"].integers(count, high=plan.material_count - 1) != expected):
             raise particles["material"].error("differs from the materials in accounting")
     _check_positions(particles, count, plan)
+    check_contacts(engine["contacts"], ids, plan, complete)
 
 
 def _check_positions(particles: Part, count: int, plan: Plan) -> None:

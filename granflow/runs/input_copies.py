@@ -13,7 +13,7 @@ from granflow.plan.meshes import mesh_path
 from granflow.scene.schema.insertion import FileInsertion
 from granflow.scene.schema.walls import MeshWall
 
-RESULTS = re.compile(r"(particles|contacts|walls)_\d+\.vtu|timeseries\.csv")
+RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
 """Names of result files: a particle file with such a name is not copied, because the run writes its own."""
 
 

@@ -2,12 +2,11 @@
 
 import logging
 import time as clock
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import Any
 
 from granflow.errors import GranflowError, OutputError
 from granflow.io.atomic_files import remove_parts
@@ -17,7 +16,7 @@ from granflow.io.lock import locked
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene
 from granflow.observers.base import Checkpointable
-from granflow.runs.checkpoint_schedule import CheckpointWriter
+from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs
 from granflow.runs.previous import refuse_inputs_inside, replaced_run, results_in
 from granflow.runs.result import Result, write_result
@@ -125,14 +124,14 @@ class RunDirectory:
         written = self._checkpoints.last_time if self._checkpoints is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
-    def save(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
+    def save(self, time: float, step: int, state: SavedBy) -> None:
         """Write a checkpoint of the state at `time` [s]. Raises OSError if it cannot be written."""
         if self._checkpoints is not None:
             began = clock.perf_counter()
-            self._checkpoints.write(time, step, dict(state()))
+            self._checkpoints.write(time, step, state)
             self._log.info("checkpoint at %.6g s, written in %.3g s", time, clock.perf_counter() - began)
 
-    def save_if_due(self, time: float, step: int, state: Callable[[], Mapping[str, Any]]) -> None:
+    def save_if_due(self, time: float, step: int, state: SavedBy) -> None:
         """Write a checkpoint if one is due, and log a write error.
 
         Raises OSError if the directory is gone, or if a frame cannot be written.

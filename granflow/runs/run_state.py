@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from granflow.engine.checkpoint import restore_state, saved_state
+from granflow.engine.checkpoint import RankFileWriter, rank_file_entries, restore_state, saved_state
 from granflow.engine.engine import Engine
 from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
@@ -12,6 +12,7 @@ from granflow.runs.checkpoint_observers import check_observers, check_streams
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
 from granflow.runs.python_changes import saved_changes
+from granflow.runs.rank_checkpoint import rank_files_of
 from granflow.runs.resume import Change, plan_fingerprint
 from granflow.runs.stage_progress import StageProgress
 from granflow.runs.timings import WallClock
@@ -54,8 +55,11 @@ class RunState:
         """Continue with a plan with other walls."""
         self.plan, self._walls_changed = plan, True
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays."""
+    def state_dict(self, writer: RankFileWriter) -> dict[str, Any]:
+        """Return the state for a checkpoint: nested dictionaries of numbers, texts and numpy arrays.
+
+        `writer`: writes the particles of MPI ranks other than the root before. Raises OSError.
+        """
         return {
             "stage_progress": self.progress.state_dict(),
             "wall_clock": self.wall_clock.state_dict(self.engine),
@@ -64,6 +68,7 @@ class RunState:
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
+            "rank_files": rank_file_entries(self.engine, writer),
             "engine": saved_state(self.engine),
         }
 
@@ -83,7 +88,7 @@ class RunState:
             saved["stage_progress"], engine.plan.stages, reopened, same_scene=not change.differences
         )
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
-        restore_state(engine, saved["engine"], motions)
+        restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
         engine.set_stage(progress.stage)
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():

@@ -77,14 +77,20 @@ def surface_kernel(law):
         return ti.Vector([numbers[k] for k in ti.static(range(count))])
 
     @ti.func
+    def number_in(numbers: ti.template(), vectors: ti.template(), i, s, k: ti.template()):
+        return numbers[i, s, k]
+
+    @ti.func
+    def vector_in(numbers: ti.template(), vectors: ti.template(), i, s, k: ti.template()):
+        return ti.Vector([vectors[i, s, k, 0], vectors[i, s, k, 1], vectors[i, s, k, 2]])
+
+    members = [
+        (name, read, k) for names, read in ((NUMBERS, number_in), (VECTORS, vector_in)) for k, name in enumerate(names)
+    ]
+
+    @ti.func
     def contact_of(numbers: ti.template(), vectors: ti.template(), i, s):
-        return ti.Struct(
-            **{name: numbers[i, s, k] for k, name in ti.static(enumerate(NUMBERS))},
-            **{
-                name: ti.Vector([vectors[i, s, k, 0], vectors[i, s, k, 1], vectors[i, s, k, 2]])
-                for k, name in ti.static(enumerate(VECTORS))
-            },
-        )
+        return ti.Struct({name: read(numbers, vectors, i, s, k) for name, read, k in ti.static(members)})
 
     @ti.kernel
     def evaluate(pair: row, parameters: row, numbers: cube, vectors: four, force: cube, loss: square, stored: square,

@@ -149,7 +149,7 @@ def lost_energy(name, radius_eff):
     return quad(force, 0.0, (1.0 + 0.5 * angle) * volume ** (1.0 / 3.0))[0]
 
 
-def impacts(name, chunk_size, gravity=0.0, floor_wall=None):
+def impacts(name, chunk_size, gravity=0.0, floor_wall=None, normal="hertz"):
     """A scene of particles that hit a floor or another particle at rest, and the two sticking velocities."""
     mass = DENSITY * math.pi / 6.0 * DIAMETER**3
     floor = math.sqrt(2.0 * lost_energy(name, RADIUS) / mass)
@@ -166,7 +166,7 @@ def impacts(name, chunk_size, gravity=0.0, floor_wall=None):
     wall = floor_wall or plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     scene = build_scene(
         {"balls": group}, {"floor": wall}, pair={"restitution": 1.0} | options,
-        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": name},
+        contact={"normal": normal, "tangential": "mindlin", "rolling": "none", "cohesion": name},
         materials={"glass": SOLID}, domain={"min": [-0.01] * 3, "max": [0.05] * 3, "on_exit": "error"},
         run={"duration": 20000 * 2e-8, "time_step": 2e-8, "velocity_max": 5.0 * max(floor, pair)},
         gravity=[0.0, 0.0, -gravity], numerics={"chunk_size": chunk_size},
@@ -226,6 +226,16 @@ def test_bonds_slide_from_one_triangle_of_a_mesh_to_the_next(taichi_f64, tmp_pat
         velocities.append(last.particles["velocity"][order, 2] / floor)
         assert np.all(last.particles["position"][order, 1] > 0.0)
     np.testing.assert_allclose(velocities[1], velocities[0], rtol=0.0, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_energy_budget_closes_with_models_that_store_the_stiffness_of_a_contact(taichi_f64):
+    """Bonds rupture after their overlap has ended, and with it the stiffness in the history of the normal model."""
+    scene, *_ = impacts("jkr", 12, normal={"law": "walton_braun", "stiffness": "onset", "unloading": "constant"})
+    last, _ = run_to_end(scene)
+    losses = 3 * (lost_energy("jkr", RADIUS) + lost_energy("jkr", 0.5 * RADIUS))
+    assert abs(last.totals["energy_error"]) < 2e-3
+    assert last.totals["plastic_dissipation"] > 0.8 * losses
 
 
 def test_explain_shows_the_bond_number():

@@ -14,6 +14,8 @@ import rank_launcher
 from rank_launcher import alone, environment, on_ranks
 from scene_builders import box, build_scene, moving_lattice, particle_group, vibrating_box
 
+from granflow.io.checkpoint import read_checkpoint
+
 pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
 
 PROGRAM = Path(__file__).parent.parent / "rank_runs.py"
@@ -189,6 +191,10 @@ def test_a_run_on_two_ranks_is_resumed_without_mpi(tmp_path):
     scene = resumable_scene(tmp_path)
     completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
     completed(run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "parts", "--until", "0.0021"))
+    kept = [*(tmp_path / "parts").glob("checkpoint_*.npz")]
+    assert len(kept) == len([*(tmp_path / "parts").glob("rank_*_0001.npz")]) == 2
+    counts = [len(read_checkpoint(kept[0], part).saved["engine"]["particles"]["id"]) for part in ("root", "all")]
+    assert 20 < counts[0] < 64 < counts[1]
     completed(alone("-m", "granflow", "resume", tmp_path / "parts", "--threads", "1"))
     assert_same_files(tmp_path / "whole", tmp_path / "parts")
 
@@ -200,6 +206,27 @@ def test_a_run_is_resumed_on_other_numbers_of_ranks(tmp_path):
     completed(alone("-m", "granflow", "run", scene, "--out", parts, "--until", "0.0008"))
     for ranks, until in ((2, "0.0016"), (1, "0.0022"), (3, "0.0029"), (4, "0.004")):
         completed(run_on_ranks(ranks, "resume", parts, "--mpi", "--until", until))
+    assert_same_files(tmp_path / "whole", parts)
+
+
+@pytest.mark.slow
+def test_ranks_refuse_a_damaged_file_and_use_the_checkpoint_before_it(tmp_path):
+    scene, parts = resumable_scene(tmp_path), tmp_path / "parts"
+    completed(alone("-m", "granflow", "run", scene, "--out", tmp_path / "whole", "--threads", "1"))
+    completed(run_on_ranks(3, "run", scene, "--mpi", "--out", parts, "--until", "0.0021"))
+    damaged = max(parts.glob("rank_*.npz"))
+    data = bytearray(damaged.read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    done = run_on_ranks(2, "resume", parts, "--mpi")
+    assert done.returncode == 2
+    sentence = f"{damaged} is damaged: it is truncated, or its bytes have changed. Remove it to use the checkpoint "
+    assert done.stderr.count(sentence) == 1
+    assert "Traceback" not in done.stderr
+    damaged.unlink()
+    done = run_on_ranks(2, "resume", parts, "--mpi")
+    completed(done)
+    assert f"needs the file {damaged.name} of a rank, which cannot be read" in done.stderr
     assert_same_files(tmp_path / "whole", parts)
 
 

@@ -82,7 +82,7 @@ def test_unknown_format_is_rejected_with_its_number(tmp_path, monkeypatch):
     monkeypatch.setattr(format_of, "FORMAT", 99)
     path = written(tmp_path)
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="is in format 99, written by granflow .* reads format 6"):
+    with pytest.raises(CheckpointError, match="is in format 99, written by granflow .* reads format 7"):
         read_checkpoint(path)
 
 
@@ -135,11 +135,11 @@ def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypa
     writer = CheckpointWriter(tmp_path, Checkpoints(wall_clock=10.0, interval=0.5, keep=2), scene.to_yaml())
     writer.start(0.0)
     assert not writer.due(0.4) and writer.next_time() == 0.5 and writer.due(0.5)
-    writer.write(0.5, 1, STATE)
+    writer.write(0.5, 1, lambda _: STATE)
     assert not writer.due(0.6)
     now[0] += 10.0
     assert writer.due(0.6)
-    writer.write(0.6, 2, STATE)
+    writer.write(0.6, 2, lambda _: STATE)
     assert not writer.due(0.9) and writer.next_time() == 1.0
     assert (writer.last_time, len(list(tmp_path.iterdir()))) == (0.6, 2)
 
@@ -147,4 +147,4 @@ def test_checkpoints_are_due_by_wall_clock_and_simulated_time(tmp_path, monkeypa
 def test_header_is_json(tmp_path):
     with zipfile.ZipFile(written(tmp_path)) as archive:
         header = json.loads(archive.read("header.json"))
-    assert header["format"] == 6 and header["scene"] == "title: A scene\n"
+    assert header["format"] == 7 and header["scene"] == "title: A scene\n"

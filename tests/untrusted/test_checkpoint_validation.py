@@ -11,13 +11,13 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
 from granflow.io.checkpoint import (
-    CHECKSUM_PLACEHOLDER,
     FORMAT,
     CheckpointError,
     newest_checkpoint,
     read_checkpoint,
     write_checkpoint,
 )
+from granflow.io.checkpoint_file import CHECKSUM_PLACEHOLDER
 from granflow.plan.build import plan_for
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.runs.resume import accepted_change

@@ -12,6 +12,7 @@ from granflow.engine.neighbor.contact_history_entry import (
     IN_CONTACT,
     build_add_plastic_loss,
     build_end_contact,
+    build_normal_loss,
     build_read_history,
 )
 from granflow.engine.state import State
@@ -56,7 +57,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
             is_kept = ti.cast(components[0] > 0.0, ti.i32)
         if is_kept == 1:
             neighbors.in_contact[list_index] = IN_CONTACT
-            energy_lost = end_surface_contact(list_index, constants, bodies, history, dt)
+            energy_lost = end_surface_contact(list_index, constants, bodies, dt)
         else:
             energy_lost = end_contact(list_index, constants, bodies, dt)
         add_plastic_loss(chunk, j, energy_lost)
@@ -66,28 +67,20 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
 
 
 def _build_end_surface_contact(state: State) -> Any:
-    """Device function (list index, constants, bodies, history, time_step): end the contact of all models but cohesion.
+    """Device function (list index, constants, bodies, time_step): end the contact of all models but cohesion.
 
     Returns the plastic work [J] of a contact whose overlap has ended in this step; 0 without the energy budget.
 
     Writes:  history
     """
-    neighbors, law = state.neighbors, state.plan.laws.normal
-    names, energy_budget = [name for name in neighbors.history if name != "cohesion"], state.plan.features.energy_budget
+    neighbors, energy_budget, normal_loss = state.neighbors, state.plan.features.energy_budget, build_normal_loss(state)
+    names = [name for name in neighbors.history if name != "cohesion"]
 
     @ti.func
-    def end_surface_contact(list_index, constants, bodies, history, dt):
-        energy_lost, nothing = 0.0 * dt, 0.0 * bodies.radius_eff
-        if ti.static("normal" in names and energy_budget):
-            if neighbors.history["normal"][list_index][0] > 0.0:
-                contact = ti.Struct(
-                    radius_eff=bodies.radius_eff,
-                    mass_eff=bodies.mass_eff,
-                    time_step=dt,
-                    overlap=nothing,
-                    overlap_rate=nothing,
-                )
-                energy_lost = law.lost_energy(constants.normal, contact, history.normal)
+    def end_surface_contact(list_index, constants, bodies, dt):
+        energy_lost = 0.0 * dt
+        if ti.static(energy_budget):
+            energy_lost = normal_loss(list_index, constants, bodies, dt)
         for name in ti.static(names):
             neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
         return energy_lost

@@ -51,6 +51,37 @@ def build_write_history(state: State) -> Any:
     return write_history
 
 
+def build_normal_loss(state: State) -> Any:
+    """Device function (list index, constants, bodies, time_step) -> plastic work [J] of a contact whose overlap ends.
+
+    A bond without overlap has an empty history of the normal model, of which models with stored stiffness make 0/0.
+
+    Reads:  history
+    """
+    law, neighbors, read_history = state.plan.laws.normal, state.neighbors, build_read_history(state)
+    has_history, with_bonds = "normal" in neighbors.history, state.plan.laws.acts_at_distance
+
+    @ti.func
+    def normal_loss(list_index, constants, bodies, dt):
+        energy, nothing = 0.0 * dt, 0.0 * bodies.radius_eff
+        if ti.static(has_history):
+            has_overlapped = True
+            if ti.static(with_bonds):
+                has_overlapped = ti.abs(neighbors.history["normal"][list_index]).max() > 0.0
+            if has_overlapped:
+                contact = ti.Struct(
+                    radius_eff=bodies.radius_eff,
+                    mass_eff=bodies.mass_eff,
+                    time_step=dt,
+                    overlap=nothing,
+                    overlap_rate=nothing,
+                )
+                energy = law.lost_energy(constants.normal, contact, read_history(list_index).normal)
+        return energy
+
+    return normal_loss
+
+
 def build_end_contact(state: State) -> Any:
     """Device function (list index, constants, bodies, time_step): clear an open contact.
 
@@ -60,20 +91,23 @@ def build_end_contact(state: State) -> Any:
     """
     laws, neighbors, names = state.plan.laws, state.neighbors, list(state.neighbors.history)
     energy_budget, read_history = state.plan.features.energy_budget, build_read_history(state)
+    normal_loss = build_normal_loss(state)
 
     @ti.func
     def lost_energy(list_index, constants, bodies, dt):
-        history, nothing = read_history(list_index), 0.0 * bodies.radius_eff
-        contact = ti.Struct(
-            radius_eff=bodies.radius_eff, mass_eff=bodies.mass_eff, time_step=dt, overlap=nothing, overlap_rate=nothing
-        )
-        energy = 0.0 * dt
-        if ti.static("normal" in names):
-            energy = laws.normal.lost_energy(constants.normal, contact, history.normal)
+        energy = normal_loss(list_index, constants, bodies, dt)
         if ti.static("cohesion" in names):
+            overlap = 0.0 * bodies.radius_eff
             if ti.static(laws.acts_at_distance):
-                contact.overlap = -constants.cohesion.range
-            energy += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+                overlap = -constants.cohesion.range
+            contact = ti.Struct(
+                radius_eff=bodies.radius_eff,
+                mass_eff=bodies.mass_eff,
+                time_step=dt,
+                overlap=overlap,
+                overlap_rate=0.0 * overlap,
+            )
+            energy += laws.cohesion.lost_energy(constants.cohesion, contact, read_history(list_index).cohesion)
         return energy
 
     @ti.func

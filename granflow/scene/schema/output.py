@@ -74,6 +74,9 @@ class Output(Model):
         description="time between rows of timeseries.csv [s]; default: interval",
     )
     particles: Flag = Field(True, description="write particles_*.vtu")
+    frames_per_rank: Flag = Field(
+        False, description="on MPI ranks, write one particle file per rank and particles_*.pvtu, which lists them"
+    )
     contacts: Flag = Field(False, description="write contacts_*.vtu")
     walls: Flag = Field(True, description="write walls_*.vtu")
     energy_budget: Flag = Field(False, description="compute the energy budget")

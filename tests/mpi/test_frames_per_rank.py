@@ -1,0 +1,134 @@
+"""Frames in one file for each rank: the same particles as in a single file, for all readers."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import rank_launcher
+from rank_launcher import alone, on_ranks
+from scene_builders import build_scene, moving_lattice, vibrating_box
+
+from granflow import read_run
+from granflow.errors import SceneError
+from granflow.io.frames import FrameSeries
+from granflow.io.pvtu import Piece, piece_path, read_pvtu
+from granflow.io.regular_files import FormatError
+from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu_writer import write_vtu
+from granflow.particles.table import read_particles
+
+LARGEST = 2**20
+
+
+def scene(folder):
+    """File of a scene with 27 particles, and three frames."""
+    made = build_scene(
+        {"lattice": moving_lattice((3, 3, 3), largest=0.0062, speed=1.0)}, vibrating_box(0.021),
+        output={"interval": 1e-3, "frames_per_rank": True}, run={"duration": 2e-3, "velocity_max": 4.0},
+    )  # fmt: skip
+    return made.save(folder / "scene.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
+def test_frames_of_ranks_equal_those_without_mpi(tmp_path):
+    path = scene(tmp_path)
+    for done in (
+        alone("-m", "granflow", "run", path, "--out", tmp_path / "one"),
+        on_ranks(2, "-m", "granflow", "run", path, "--mpi", "--out", tmp_path / "two", "--until", "0.001"),
+        on_ranks(3, "-m", "granflow", "resume", tmp_path / "two", "--mpi"),
+    ):
+        assert done.returncode == 0, done.stderr[-2000:]
+    one, two = (read_run(tmp_path / name) for name in ("one", "two"))
+    assert [path.name for path in one.frames.paths] == [f"particles_000{k}.vtu" for k in range(3)]
+    assert [path.name for path in two.frames.paths] == [f"particles_000{k}.pvtu" for k in range(3)]
+    assert len([*(tmp_path / "two").glob("particles_0000.*.vtu")]) == 2
+    assert len([*(tmp_path / "two").glob("particles_0002.*.vtu")]) == 3
+    for expected, found in zip(one.frames, two.frames, strict=True):
+        assert expected.particles.keys() == found.particles.keys()
+        for name, values in expected.particles.items():
+            np.testing.assert_array_equal(values, found.particles[name], name)
+            assert values.dtype == found.particles[name].dtype
+    assert (tmp_path / "one" / "timeseries.csv").read_bytes() == (tmp_path / "two" / "timeseries.csv").read_bytes()
+    metric = "output.metrics.bed={kind: coordination}"
+    for verb, *options in (("report",), ("analyze", "--set", metric), ("render",)):
+        done = alone("-m", "granflow", verb, tmp_path / "two", *options)
+        assert done.returncode == 0, done.stderr[-2000:]
+
+
+def mesh_of(ids, **arrays):
+    """A mesh of particles with ids and positions that follow from them."""
+    ids = np.array(ids, np.int64)
+    points = np.stack([ids, 2.0 * ids, 0.0 * ids], axis=1).astype(np.float32)
+    return VtuMesh.of_points(points, {"id": ids, "velocity": points, "radius": points[:, 1], **arrays})
+
+
+def written(folder, *parts):
+    """The series with one frame in pieces."""
+    series = FrameSeries(folder, "particles")
+
+    def write(directory, frame):
+        pieces = []
+        for rank, ids in enumerate(parts):
+            path, mesh = piece_path(directory, frame, rank), mesh_of(ids)
+            write_vtu(path, mesh)
+            pieces.append(Piece.of(path.name, mesh))
+        return pieces
+
+    series.write_pieces(write, 0.5)
+    return series
+
+
+def test_pieces_are_joined_in_the_order_of_the_ids(tmp_path):
+    written(tmp_path, [5, 1], [], [4, 2])
+    found, expected = read_pvtu(tmp_path / "particles_0000.pvtu", LARGEST), mesh_of([1, 2, 4, 5])
+    np.testing.assert_array_equal(found.points, expected.points)
+    assert found.points.dtype == np.float32
+    for name, values in expected.point_data.items():
+        np.testing.assert_array_equal(found.point_data[name], values)
+    assert 'file="particles_0000.pvtu"' in (tmp_path / "particles.pvd").read_text()
+
+
+def test_pyvista_reads_the_frame(tmp_path):
+    pytest.importorskip("pyvista")
+    written(tmp_path, [5, 1], [], [4, 2])
+    program = (
+        "import pyvista, sys; frame = pyvista.read(sys.argv[1]); print(sorted(frame['id']), frame['velocity'].shape)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "particles_0000.pvtu")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.replace("np.int64(", "").replace(")", "").startswith("[1, 2, 4, 5] (4, 3")
+
+
+def test_pieces_of_removed_frames_are_removed(tmp_path):
+    series = written(tmp_path, [1], [2])
+    kept = {path.name for path in tmp_path.iterdir()}
+    for name in ("particles_0001.pvtu", "particles_0001.0000.vtu", "particles_0001.0001.vtu"):
+        (tmp_path / name).write_text("")
+    series.truncate()
+    assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+def test_invalid_pieces_are_refused(tmp_path):
+    written(tmp_path, [1], [2])
+    path = tmp_path / "particles_0000.pvtu"
+    (tmp_path / "particles_0000.0001.vtu").unlink()
+    with pytest.raises(FormatError, match="needs particles_0000.0001.vtu, which cannot be read"):
+        read_pvtu(path, LARGEST)
+    path.write_text(path.read_text().replace("particles_0000.0001.vtu", "../particles_0000.0001.vtu"))
+    with pytest.raises(FormatError, match="has the unexpected piece ../particles"):
+        read_pvtu(path, LARGEST)
+    path.write_text("<VTKFile/>")
+    with pytest.raises(FormatError, match="is not a PVTU file with pieces"):
+        read_pvtu(path, LARGEST)
+
+
+def test_a_table_of_particles_in_pieces_is_refused(tmp_path):
+    written(tmp_path, [1], [2])
+    with pytest.raises(SceneError, match="particles are not read from the files of several ranks"):
+        read_particles(tmp_path / "particles_0000.pvtu")

@@ -1,0 +1,196 @@
+"""Checkpoints with files of several ranks, written in one process: read without MPI, refused if a file is invalid."""
+
+import re
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, moving_lattice, vibrating_box
+
+from granflow import Simulation
+from granflow.engine.saved_particles import host_particles
+from granflow.io.checkpoint import CheckpointError, newest_checkpoint, read_checkpoint, remove_after, write_checkpoint
+from granflow.io.rank_files import RankFileWriter
+from granflow.parallel.checkpoint_share import share_of_checkpoint
+from granflow.plan.build import plan_for
+from granflow.runs.checkpoint_schedule import CheckpointWriter
+from granflow.runs.rank_checkpoint import rank_files_of
+from granflow.runs.resume import accepted_change
+from granflow.scene.schema.output import Checkpoints
+
+STEPS = 600
+
+
+def scene():
+    """64 particles with friction in a box, which collide."""
+    return build_scene(
+        {"lattice": moving_lattice((4, 4, 4), largest=0.0062, speed=1.0)}, vibrating_box(0.028),
+        pair={"friction": 0.4, "restitution": 0.5}, gravity=[0.0, 3.0, -9.81],
+        numerics={"chunk_size": 8, "max_overlap": 0.3}, output={"interval": 1.0, "energy_budget": True},
+        run={"duration": STEPS * 4e-6, "velocity_max": 4.0, "time_step": 4e-6},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def half(tmp_path_factory, taichi_f64):
+    """Checkpoint at half of the steps, and positions at the end."""
+    out = tmp_path_factory.mktemp("run")
+    with Simulation(scene(), out=out, threads=1) as simulation:
+        simulation.step(STEPS // 2)
+        simulation.save()
+        checkpoint = newest_checkpoint(out)[0]
+        simulation.run()
+        return checkpoint, simulation.snapshot().particles["position"]
+
+
+def rows_of(saved, rows):
+    """Particles and contacts of the particles with these indices."""
+    contacts = saved["contacts"]
+    end = np.cumsum(contacts["count"])
+    entries = np.concatenate([np.arange(end[k] - contacts["count"][k], end[k]) for k in rows] + [np.zeros(0, int)])
+    parts = {name: values[entries] for name, values in contacts.items() if name != "count"}
+    particles = {name: values[rows] for name, values in saved["particles"].items()}
+    return {"particles": particles, "contacts": parts | {"count": contacts["count"][rows]}}
+
+
+def distributed(checkpoint, directory, step, rank_count=3, change=None):
+    """Write the checkpoint as ranks do that have every third particle; return the path of the root's file."""
+    saved = read_checkpoint(checkpoint.path).saved
+    engine, writer = saved["engine"], RankFileWriter.of(directory, step)
+    shares = [rows_of(engine, np.arange(rank, engine["particle_count"], rank_count)) for rank in range(rank_count)]
+    if change:
+        change(shares)
+    entries = [writer.write(k, len(each["particles"]["id"]), each) for k, each in enumerate(shares) if k]
+    return write_checkpoint(
+        directory, checkpoint.scene, checkpoint.time, step,
+        saved | {"rank_files": entries, "engine": engine | shares[0]},
+    )  # fmt: skip
+
+
+def test_a_run_continues_from_the_files_of_ranks_with_the_same_bits(half, tmp_path):
+    checkpoint, expected = half
+    assert len(checkpoint.saved["engine"]["contacts"]["partner"]) >= 5
+    path = distributed(checkpoint, tmp_path, 150)
+    assert len(read_checkpoint(path, "root").saved["engine"]["particles"]["id"]) == 22
+    with Simulation(scene(), out=tmp_path, threads=1, resume=path) as simulation:
+        simulation.run()
+        np.testing.assert_array_equal(simulation.snapshot().particles["position"], expected)
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+def with_a_flipped_bit(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda path: path.unlink(), "needs the file rank_.* of a rank, which cannot be read"),
+        (truncated, "needs the file rank_.* of a rank, which is another one or truncated"),
+        (with_a_flipped_bit, "rank_.* is damaged: it is truncated, or its bytes have changed"),
+    ],
+)
+def test_the_previous_checkpoint_replaces_one_with_an_invalid_file(half, tmp_path, damage, reason):
+    before, newest = (distributed(half[0], tmp_path, step) for step in (140, 150))
+    damage(max(tmp_path.glob("rank_*")))
+    found, skipped = newest_checkpoint(tmp_path)
+    assert found.path == before
+    with pytest.raises(CheckpointError, match=reason) as error:
+        read_checkpoint(newest)
+    assert skipped == [str(error.value)]
+    assert str(error.value).endswith("Remove it to use the checkpoint before it.")
+
+
+def test_files_without_a_checkpoint_are_ignored_and_removed(half, tmp_path):
+    before, newest = (distributed(half[0], tmp_path, step) for step in (140, 150))
+    newest.unlink()
+    found, skipped = newest_checkpoint(tmp_path)
+    assert (found.path, skipped) == (before, [])
+    remove_after(tmp_path, before)
+    assert {path.name[:17] for path in tmp_path.glob("rank_*")} == {"rank_000000000140"}
+
+
+def test_a_checkpoint_of_the_same_step_replaces_the_files_of_ranks(half, tmp_path):
+    path = distributed(half[0], tmp_path, 150)
+    earlier = {*tmp_path.glob("rank_*")}
+    writer = CheckpointWriter(tmp_path, Checkpoints(), half[0].scene)
+    entries = []
+
+    def state(files):
+        assert read_checkpoint(path).rank_files == (), "the earlier checkpoint remains usable"
+        share = {name: half[0].saved["engine"][name] for name in ("particles", "contacts")}
+        entries.append(files.write(1, half[0].saved["engine"]["particle_count"], share))
+        assert read_checkpoint(path).rank_files == ()
+        return half[0].saved | {"rank_files": entries}
+
+    writer.write(half[0].time, 150, state)
+    assert {each.name for each in tmp_path.glob("rank_*")} == {entries[0]["file"]}
+    assert len(earlier) == 2
+
+
+@pytest.mark.parametrize(
+    "entries", [3, [3], [{}], [{"file": "../../etc/passwd", "checksum": "0" * 64, "count": 1}],
+                [{"file": "rank_000000000001_00000000_0001.npz", "checksum": "0" * 64, "count": -1}]],
+)  # fmt: skip
+def test_crafted_lists_of_files_are_refused(half, tmp_path, entries):
+    saved = half[0].saved | {"rank_files": entries}
+    path = write_checkpoint(tmp_path, half[0].scene, half[0].time, 150, saved)
+    with pytest.raises(CheckpointError, match="rank"):
+        read_checkpoint(path)
+
+
+class OneRank:
+    """A communicator of a single rank."""
+
+    rank, size = 0, 1
+
+    def from_each(self, value):
+        return [value]
+
+    def exchanged(self, parts):
+        return parts
+
+
+def doubled(shares):
+    without_contacts = np.argmin(shares[1]["contacts"]["count"])
+    shares[1]["particles"]["id"][without_contacts] = shares[2]["particles"]["id"][0]
+
+
+def wrong_mass(shares):
+    shares[1]["particles"]["mass"] = 2.0 * shares[1]["particles"]["mass"]
+
+
+def one_sided(shares):
+    contacts = shares[1]["contacts"]
+    entry = np.flatnonzero(contacts["partner"] >= 0)[0]
+    owner = np.repeat(np.arange(len(contacts["count"])), contacts["count"])[entry]
+    shares[1]["contacts"] = {name: np.delete(values, entry, axis=0) for name, values in contacts.items()
+                             if name != "count"}  # fmt: skip
+    shares[1]["contacts"]["count"] = contacts["count"] - (np.arange(len(contacts["count"])) == owner)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda shares: None, None),
+        (doubled, "has a particle in the files of two ranks"),
+        (wrong_mass, "rank_.*: engine/particles/mass differs from density times volume"),
+        (one_sided, "has a contact between two particles at one of them only"),
+    ],
+)
+def test_ranks_check_the_files_that_they_read(half, tmp_path, change, reason):
+    checkpoint = read_checkpoint(distributed(half[0], tmp_path, 150, change=change), "root")
+    accepted_change(checkpoint, scene(), plan_for(scene()), allow_changes=False)
+    with Simulation(scene(), threads=1) as simulation:
+        files, accounting = rank_files_of(checkpoint), checkpoint.saved["engine"]["accounting"]
+        state = simulation.engine.state
+        own = host_particles(state, checkpoint.saved["engine"])
+        found, problem = share_of_checkpoint(state, OneRank(), own, files, accounting)
+    if reason is None:
+        assert (problem, found.count) == (None, 64)
+    else:
+        assert re.search(reason, problem)
