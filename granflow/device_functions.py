@@ -100,7 +100,7 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     where = f"{code.co_filename}:{code.co_firstlineno}: " if code else ""
     if positions:
         where = f"{positions[-1]['file']}:{positions[-1]['line']}: "
-    rest = _POSITION.split(text)[-1].strip()
+    rest = _POSITION.split(text)[-1].lstrip("^ \n").strip()  # Quadrants underlines the position
     if rest.startswith("Traceback"):
         rest = rest.splitlines()[-1]
     rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
