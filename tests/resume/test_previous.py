@@ -14,7 +14,7 @@ from scene_builders import build_scene, particle_group
 from granflow.cli.main import main
 from granflow.errors import GranflowError, OutputError
 from granflow.io import checkpoint as format_of
-from granflow.io import frames
+from granflow.io import checkpoint_file, frames
 from granflow.io.checkpoint import write_checkpoint
 from granflow.runs.previous import replaced_run, restore_previous_run
 from granflow.simulation import Simulation
@@ -196,7 +196,7 @@ def test_unreadable_checkpoint_is_rejected(stopped, monkeypatch, capsys, code):
     def unreadable(file):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(format_of, "_checksum", unreadable)
+    monkeypatch.setattr(checkpoint_file, "_checksum", unreadable)
     message = resume_error(stopped, capsys)
     reason = os.strerror(code)
     assert f"checkpoint_000000000008.npz cannot be read: {reason}. Make it readable, then try again.\n" in message
