@@ -75,6 +75,15 @@ def numbered(count: int, noun: str) -> str:
     return f"{readable(count)} {noun}{'s' * (count != 1)}"
 
 
+def distinct_endings(names: Sequence[Sequence[str]], least: int = 1) -> list[tuple[str, ...]]:
+    """The last parts of each name: as few as make all names different, but at least `least` if a name has so many."""
+    for count in range(least, max([least, *map(len, names)]) + 1):
+        found = [tuple(name[-count:]) for name in names]
+        if len(set(found)) == len(found):
+            break
+    return found
+
+
 def alternatives(names: Sequence[str]) -> str:
     """The names (one or more) as a list of alternatives: "a, b or c"."""
     return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -31,10 +31,9 @@ def observers_for(
 ) -> list[Observer]:
     """Return the observers of the output block, and the progress display if `progress`.
 
-    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without
-    MPI ranks. Order: time series,
-    particle frames, contact frames, wall frames, one per block of `output.fields`. Without `out_dir`, only the time
-    series, without a file, if it has meters.
+    `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without MPI ranks.
+    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`. Without
+    `out_dir`, only the time series, without a file, if it has meters.
     """
     output = plan.output
     observers: list[Observer] = []

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.contact_histories import Histories
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles, joined_particles
 from granflow.engine.saved_particles import RankFiles, host_particles
@@ -44,8 +43,8 @@ def share_of_checkpoint(
 def no_particles(state: State) -> HostParticles:
     """Empty arrays and histories of the state."""
     none = saved_particle_table(state).take(np.zeros(0, np.int32))
-    history = {slot: np.zeros((0, components)) for slot, components in state.plan.history.items()}
-    return HostParticles(none, Histories(np.zeros(0, np.int64), np.zeros(0, np.int32), history))
+    contacts = {"count": np.zeros(0, np.int64), "partner": np.zeros(0, np.int32)}
+    return host_particles(state, {"particles": none, "contacts": contacts})
 
 
 def _first(communicator: Communicator, problem: str | None) -> str | None:

@@ -20,15 +20,8 @@ from granflow.load import Scene
 from granflow.runs.input_copies import input_files
 
 RESULT_FILES = (
-    *(
-        "particles.pvd",
-        "contacts.pvd",
-        "walls.pvd",
-        "particles_*.vtu",
-        "particles_*.pvtu",
-        "contacts_*.vtu",
-        "walls_*.vtu",
-    ),
+    *("particles.pvd", "contacts.pvd", "walls.pvd"),
+    *("particles_*.vtu", "particles_*.pvtu", "contacts_*.vtu", "walls_*.vtu"),
     *("fields_*.pvd", "fields_*.vtu", "analysis/fields_*.pvd", "analysis/fields_*.vtu", "analysis/metrics.csv"),
     *("timeseries.csv", "result.json", "scene_as_run.yaml", "run.log", "checkpoint_*.npz", "rank_*.npz"),
     *("report.html", "pictures/picture_*.png", "pictures/film_*.mp4"),

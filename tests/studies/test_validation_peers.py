@@ -148,7 +148,7 @@ def test_figures_of_the_silo():
     frames = flying((silo.OPENING, *silo.FLOW_TIMES))
     first, last = silo.FLOW_TIMES
     below = replace(frames[last], position=frames[last].position - [0, 0, 1.0] * (np.arange(100) < 40)[:, None])
-    found = silo.figures({**frames, last: below})
+    found = silo.SILO.figures({**frames, last: below})
     mass = DENSITY * math.pi / 6.0 * 4e-3**3
     assert found["mass flow rate [kg/s]"] == pytest.approx(40 * mass / (last - first))
     assert found["height of the center of mass at the opening [m]"] == pytest.approx(0.05)

@@ -14,6 +14,7 @@ from granflow.engine.neighbor.contact_history_entry import (
     build_end_contact,
     build_normal_loss,
     build_read_history,
+    cohesive_contact,
 )
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -42,13 +43,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
     @ti.func
     def distant_force(chunk, i, list_index, j, overlap, dt):
         constants, bodies, history = pair_constants(i, j), effective(i, j), read_history(list_index)
-        contact = ti.Struct(
-            radius_eff=bodies.radius_eff,
-            mass_eff=bodies.mass_eff,
-            time_step=dt,
-            overlap=overlap,
-            overlap_rate=0.0 * overlap,
-        )
+        contact = cohesive_contact(bodies, overlap, dt)
         attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
         is_kept, energy_lost = 0, 0.0 * dt
         if ti.static(keeps_history):

@@ -13,6 +13,18 @@ NO_CONTACT, IN_CONTACT, RELEASED = range(3)
 """State of a neighbor-list entry: no contact; in contact; or history that another entry may acquire in this step."""
 
 
+@ti.func
+def cohesive_contact(bodies, overlap, dt):
+    """The struct `contact` of cohesion models, for a pair whose overlap [m] is constant during the step."""
+    return ti.Struct(
+        radius_eff=bodies.radius_eff,
+        mass_eff=bodies.mass_eff,
+        time_step=dt,
+        overlap=overlap,
+        overlap_rate=0.0 * overlap,
+    )
+
+
 def build_read_history(state: State) -> Any:
     """Device function (list index) -> struct of slots, each a struct of the history fields of its model.
 
@@ -100,13 +112,7 @@ def build_end_contact(state: State) -> Any:
             overlap = 0.0 * bodies.radius_eff
             if ti.static(laws.acts_at_distance):
                 overlap = -constants.cohesion.range
-            contact = ti.Struct(
-                radius_eff=bodies.radius_eff,
-                mass_eff=bodies.mass_eff,
-                time_step=dt,
-                overlap=overlap,
-                overlap_rate=0.0 * overlap,
-            )
+            contact = cohesive_contact(bodies, overlap, dt)
             energy += laws.cohesion.lost_energy(constants.cohesion, contact, read_history(list_index).cohesion)
         return energy
 

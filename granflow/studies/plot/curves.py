@@ -10,7 +10,7 @@ from granflow.errors import GranflowError
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.plot.expression import WORD, quantity_of
 from granflow.studies.report.series import common_title
-from granflow.visible_text import numbered
+from granflow.visible_text import distinct_endings, numbered
 
 MOST_CURVES = 18
 """Largest number of curves of a panel: nine colors with two line styles each."""
@@ -85,12 +85,7 @@ def _panel(curves: Sequence[tuple[str, SeriesColumn, SeriesColumn]]) -> Panel:
 
 def short_names(sources: Sequence[Path]) -> list[str]:
     """The last parts of the paths: as few as make all different."""
-    parts = [source.resolve().parts for source in sources]
-    for count in range(1, max(map(len, parts)) + 1):
-        names = ["/".join(each[-count:]) for each in parts]
-        if len(set(names)) == len(names):
-            break
-    return names
+    return ["/".join(parts) for parts in distinct_endings([source.resolve().parts for source in sources])]
 
 
 def _rows(series: TimeSeriesTable, stages: Sequence[str], path: Path) -> np.ndarray:

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from granflow.errors import GranflowError
 from granflow.studies.figures import COLORS, draw_to
 from granflow.studies.page import write_page
 from granflow.studies.plot.curves import Panel
 from granflow.studies.report.plots import DASHES, Plot, curve_layout, library, plain
-from granflow.studies.report.series import MOST_POINTS
+from granflow.studies.report.series import thinned
 from granflow.visible_text import visible
 
 IMAGES = (".png", ".svg", ".pdf")
@@ -79,11 +81,12 @@ def _plot(panel: Panel, logarithmic: str) -> Plot:
     """A panel in the format of plotly."""
     data = []
     for number, curve in enumerate(panel.curves):
-        every = -(-len(curve.x) // MOST_POINTS)
+        known = np.isfinite(curve.x)
+        x, y = thinned(curve.x[known], curve.y[known])
         color, dash = COLORS[number % len(COLORS)], DASHES[number // len(COLORS)]
         data.append(
-            {"type": "scatter", "mode": "lines" if len(curve.x) > 1 else "markers", "name": visible(curve.name),
-             "x": plain(curve.x[::every]), "y": plain(curve.y[::every]),
+            {"type": "scatter", "mode": "lines" if len(x) > 1 else "markers", "name": visible(curve.name),
+             "x": plain(x), "y": plain(y),
              "line": {"color": color, "width": 1.8, "dash": dash}}
         )  # fmt: skip
     layout = curve_layout(panel.x_title, panel.y_title, len(data) > 1) | {"hovermode": "closest", "height": 460}

@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any
 
 from granflow.studies.report.plots import AXIS, LEGEND, STANDOFF
+from granflow.visible_text import distinct_endings
 
 FONT = {"family": "system-ui, sans-serif", "size": 13}
 
@@ -61,8 +62,5 @@ def level_text(value: Any, digits: int = 6) -> str:
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
     """Short name of each parameter for an axis: the last two keys of its path, or as many as make all different."""
-    for count in range(2, max(1, *(name.count(".") for name in names)) + 2):
-        found = {name: ".".join(name.split(".")[-count:]) for name in names}
-        if len(set(found.values())) == len(found):
-            break
-    return found
+    endings = distinct_endings([name.split(".") for name in names], least=2)
+    return {name: ".".join(parts) for name, parts in zip(names, endings, strict=True)}

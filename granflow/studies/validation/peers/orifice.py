@@ -7,10 +7,8 @@ from granflow.studies.validation.peers.case import PeerCase, plane, scene_of
 from granflow.studies.validation.peers.state import (
     LARGEST,
     SPACING,
-    Frames,
     Particles,
-    center,
-    mass_above,
+    discharge_figures,
     random_particles,
 )
 
@@ -53,15 +51,6 @@ def scene(start: Particles) -> Scene:
     )  # fmt: skip
 
 
-def figures(frames: Frames) -> dict[str, float]:
-    """Mass flow rate, and height of the filled bed."""
-    first, last = (mass_above(frames[time], 0.0) for time in FLOW_TIMES)
-    return {
-        "mass flow rate [kg/s]": (first - last) / (FLOW_TIMES[1] - FLOW_TIMES[0]),
-        "height of the center of mass at the opening [m]": float(center(frames[OPENING])[2]),
-    }
-
-
 def triangles() -> dict[str, np.ndarray]:
     """The floor, with vertices on the circles."""
     angle = 2.0 * np.pi * np.arange(SEGMENTS + 1) / SEGMENTS
@@ -76,6 +65,7 @@ def triangles() -> dict[str, np.ndarray]:
 
 ORIFICE = PeerCase(
     "flat silo with a round orifice", lambda repeat: random_particles(lattice(), repeat), scene,
-    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)), TIME_STEP, (OPENING, *FLOW_TIMES), figures, "orifice", {}, triangles,
+    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)), TIME_STEP, (OPENING, *FLOW_TIMES),
+    discharge_figures(OPENING, *FLOW_TIMES), "orifice", {}, triangles,
     repeats=6, remark="LIGGGHTS has a floor of 64-sided triangles; LAMMPS 29 Sep 2021 has no wall with a hole",
 )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 
 from granflow import Scene
 from granflow.studies.validation.peers.case import PeerCase, plane, scene_of
-from granflow.studies.validation.peers.state import Frames, Particles, box_lattice, center, mass_above, random_particles
+from granflow.studies.validation.peers.state import Particles, box_lattice, discharge_figures, random_particles
 
 COUNT, WIDTH, DEPTH, SLOT = 1800, 0.04, 0.02, 0.016
 """Particles, horizontal sides of the silo, and width of the slot across it [m]."""
@@ -36,15 +36,6 @@ def scene(start: Particles) -> Scene:
     )  # fmt: skip
 
 
-def figures(frames: Frames) -> dict[str, float]:
-    """Mass flow rate, and height of the filled bed."""
-    first, last = (mass_above(frames[time], 0.0) for time in FLOW_TIMES)
-    return {
-        "mass flow rate [kg/s]": (first - last) / (FLOW_TIMES[1] - FLOW_TIMES[0]),
-        "height of the center of mass at the opening [m]": float(center(frames[OPENING])[2]),
-    }
-
-
 def triangles() -> dict[str, np.ndarray]:
     """Both plates of the floor."""
     found = []
@@ -57,6 +48,7 @@ def triangles() -> dict[str, np.ndarray]:
 SILO = PeerCase(
     "flat silo with a slot",
     lambda repeat: random_particles(box_lattice(COUNT, (-0.5 * WIDTH, 0.0), (WIDTH, DEPTH)), repeat), scene,
-    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)), TIME_STEP, (OPENING, *FLOW_TIMES), figures, "silo", {}, triangles,
+    ((-0.06, -0.06, -0.2), (0.06, 0.06, TOP)), TIME_STEP, (OPENING, *FLOW_TIMES),
+    discharge_figures(OPENING, *FLOW_TIMES), "silo", {}, triangles,
     repeats=8,
 )  # fmt: skip

@@ -1,7 +1,7 @@
 """States of particles that all codes start from, and quantities of the states that they write."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,22 @@ def center(state: Particles) -> np.ndarray:
 def mass_above(state: Particles, height: float) -> float:
     """Mass [kg] of the particles with centers above a height [m]."""
     return float(state.mass[state.position[:, 2] > height].sum())
+
+
+def discharge_figures(opening: float, begin: float, end: float) -> Callable[[Frames], dict[str, float]]:
+    """Function of the frames of a silo with its floor at z = 0: mass flow rate, and height of the filled bed.
+
+    `opening`: time [s] of the opening; `begin`, `end`: times [s] between which the flow is measured.
+    """
+
+    def figures(frames: Frames) -> dict[str, float]:
+        first, last = (mass_above(frames[time], 0.0) for time in (begin, end))
+        return {
+            "mass flow rate [kg/s]": (first - last) / (end - begin),
+            "height of the center of mass at the opening [m]": float(center(frames[opening])[2]),
+        }
+
+    return figures
 
 
 def coordination(state: Particles) -> float:
