@@ -145,8 +145,8 @@ MUTATIONS = (
     ),
     Mutation(
         "checksum ignored",
-        "granflow/io/checkpoint.py",
-        "if _checksum(file) != file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
+        "granflow/io/checkpoint_file.py",
+        "if found != file.read(len(CHECKSUM_PLACEHOLDER) + 1) or expected not in (None, found.decode()):",
         "if not file.read(len(CHECKSUM_PLACEHOLDER) + 1):",
         (f"{CHECKPOINT}test_each_flipped_bit_is_detected",),
     ),
