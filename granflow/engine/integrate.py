@@ -36,25 +36,24 @@ def build_integrate(state: State) -> Any:
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
              external_work, losses, impulses; in a periodic box as `build_wrap`
     """
-    particles, control, features = state.particles, state.control, state.plan.features
+    particles, features = state.particles, state.plan.features
     mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
     step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
     wrap = build_wrap(state) if periodic else None
     add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
     carry_impulses, weight_rest, real = build_carry_impulses(state), build_weight_rest(state), state.backend.real
-    above_limit, leaves_reach = _build_above_limit(state), _build_leaves_reach(state)
-    request_abort = _build_request_abort(state)
+    square_of_sums, request = _build_square_of_sums(state), _build_request(state)
     gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
 
     @ti.func
     def integrate(chunk, count, pose, dt):
         carry_impulses(chunk)
-        rebuild, size, abort_above = 0, chunk_size(), step_limit()
+        size, step_squared_limit = chunk_size(), step_limit()
         acceleration, shift_of_force, units = ti.cast(gravity(), real), shift()[FORCE], per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
-            mass = particles.mass[i]
-            kick = mobility(i) * dt / mass * (particles.force[i] + weight_rest(mass * acceleration, shift_of_force))
+            mass, force, torque = particles.mass[i], particles.force[i], 0.0 * particles.force[i]
+            kick = mobility(i) * dt / mass * (force + weight_rest(mass * acceleration, shift_of_force))
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
@@ -67,82 +66,65 @@ def build_integrate(state: State) -> Any:
             particles.position[i] = position
             if ti.static(features.rotation):
                 # A sphere needs no orientation and no gyroscopic term.
+                torque = particles.torque[i]
                 inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
-                particles.angular_velocity[i] = (
-                    particles.angular_velocity[i] + mobility(i) * dt / inertia * particles.torque[i]
-                )
-            if above_limit(i, units) == 1:
-                request_abort(ABORT_FORCE, i)
+                particles.angular_velocity[i] = particles.angular_velocity[i] + mobility(i) * dt / inertia * torque
             if ti.static(counts_damping):
                 add_damping_loss(chunk, i, dt)
-            if leaves_reach(i, position) == 1:
-                rebuild = 1
+            displacement = (position - particles.position_at_rebuild[i]).norm_sqr()
+            reach, step = particles.reach[i] * particles.reach[i], step_displacement.norm_sqr()
+            sums = square_of_sums(force, torque, units)
+            # One branch per particle: with one for each limit, the whole step takes 8 % longer.
+            is_usual = (displacement <= reach) & (step <= step_squared_limit) & (sums <= LIMIT_SQUARED)
+            if not is_usual:
+                request(i, displacement, reach, step, step_squared_limit, sums)
             if ti.static(periodic):
                 wrap(chunk, i, pose, dt)
-            # Above this limit a particle could pass another one, or a wall, between two force evaluations.
-            if step_displacement.dot(step_displacement) > abort_above:
-                request_abort(ABORT_DISPLACEMENT, i)
-        if rebuild == 1:
-            control.rebuild_requested[0] = 1
 
     return integrate
 
 
-def _build_request_abort(state: State) -> Any:
-    """Device function (code, i): request an abort because of particle i.
+def _build_request(state: State) -> Any:
+    """Device function: request a rebuild or an abort because of particle i.
 
-    Writes:  abort, abort_particle
+    Arguments: i, squares of the displacement since the last rebuild and of the reach [m^2], squares of the displacement
+    in this step and of its limit [m^2], `square_of_sums`.
+
+    Writes:  rebuild_requested, abort, abort_particle
     """
     particles, control = state.particles, state.control
 
     @ti.func
-    def request_abort(code, i):
-        ti.atomic_max(control.abort[0], code)
-        ti.atomic_min(control.abort_particle[0], particles.id[i])
+    def request(i, displacement, reach, step, step_squared_limit, sums):
+        abort = 0
+        if displacement > reach:
+            control.rebuild_requested[0] = 1
+        elif not displacement <= reach:  # NaN fails both comparisons
+            abort = ti.max(abort, ABORT_NOT_FINITE)
+        if sums > LIMIT_SQUARED:
+            abort = ti.max(abort, ABORT_FORCE)
+        # Above this limit a particle could pass another one, or a wall, between two force evaluations.
+        if step > step_squared_limit:
+            abort = ti.max(abort, ABORT_DISPLACEMENT)
+        if abort > 0:
+            ti.atomic_max(control.abort[0], abort)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
 
-    return request_abort
-
-
-def _build_leaves_reach(state: State) -> Any:
-    """Device function (i, position): 1 if a particle has moved by more than its reach since the last rebuild.
-
-    Requests an abort if the position is not finite.
-
-    Reads:   position_at_rebuild, reach
-    Writes:  abort, abort_particle
-    """
-    particles, request_abort = state.particles, _build_request_abort(state)
-
-    @ti.func
-    def leaves_reach(i, position):
-        displacement, leaves = position - particles.position_at_rebuild[i], 0
-        displacement_squared = displacement.dot(displacement)
-        reach_squared = particles.reach[i] * particles.reach[i]
-        if displacement_squared > reach_squared:
-            leaves = 1
-        elif not displacement_squared <= reach_squared:  # NaN fails both comparisons
-            request_abort(ABORT_NOT_FINITE, i)
-        return leaves
-
-    return leaves_reach
+    return request
 
 
-def _build_above_limit(state: State) -> Any:
-    """Device function (i, per_unit): 1 if the force or torque on a particle is above the range in which sums are exact.
-
-    Reads:  force, torque
-    """
-    particles, rotation = state.particles, state.plan.features.rotation
+def _build_square_of_sums(state: State) -> Any:
+    """Device function (force, torque, per_unit): the larger of their squares in units; sums are exact below a limit."""
+    rotation = state.plan.features.rotation
 
     @ti.func
-    def above_limit(i, units):
-        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(particles.force[i], ti.f64)).norm_sqr()
+    def square_of_sums(force, torque, units):
+        square = (ti.cast(units[FORCE], ti.f64) * ti.cast(force, ti.f64)).norm_sqr()
         if ti.static(rotation):
-            torque = ti.cast(units[TORQUE], ti.f64) * ti.cast(particles.torque[i], ti.f64)
-            square = ti.max(square, torque.norm_sqr())
-        return ti.cast(square > LIMIT_SQUARED, ti.i32)
+            square = ti.max(square, (ti.cast(units[TORQUE], ti.f64) * ti.cast(torque, ti.f64)).norm_sqr())
+        return square
 
-    return above_limit
+    return square_of_sums
 
 
 def build_kick(state: State) -> Any:
