@@ -1,8 +1,8 @@
 """Replaces the workers, `granflow run` and `granflow resume` in tests: known results after a short time.
 
 The kinetic energy is restitution + friction, the elastic energy is their product. A friction of 0.4 is aborted. While
-there is a file `wait` in the directory of the sweep, the run lasts until it is stopped, and then has a checkpoint, from
-which it is resumed. Each start is a line of `starts.txt`.
+there is a file `wait` in the directory of the sweep, and as many runs have results as it states (0 without a number), the
+run lasts until it is stopped, and then has a checkpoint, from which it is resumed. Each start is a line of `starts.txt`.
 """
 
 import json
@@ -44,7 +44,7 @@ def run(arguments):
         return 3
     stopped = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
-    while (directory.parent.parent / "wait").exists():
+    while has_to_wait(directory.parent):
         if stopped:
             checkpoint.write_text(json.dumps(values))
             return 143
@@ -61,6 +61,15 @@ def run(arguments):
     }  # fmt: skip
     (directory / "result.json").write_text(json.dumps(result))
     return 0 if energy < EXPECTED else 1
+
+
+def has_to_wait(runs):
+    """Whether the file `wait` exists and its number of results is reached."""
+    try:
+        count = int((runs.parent / "wait").read_text() or 0)
+    except FileNotFoundError:
+        return False
+    return len(list(runs.glob("*/result.json"))) >= count
 
 
 if __name__ == "__main__":

@@ -31,13 +31,20 @@ def sweep(tmp_path, monkeypatch):
     return read_sweep(write_sweep(tmp_path, SWEEP).name)
 
 
+def wait_after(out, count):
+    """Let each run wait once a number of runs have results; stated before the first run starts."""
+    out.mkdir()
+    (out / "wait").write_text(str(count))
+
+
 def rows(out):
     with open(out / "sweep.csv", newline="") as file:
         return [{name: cell for name, cell in row.items() if name != "seconds"} for row in csv.DictReader(file)]
 
 
 def starts(out):
-    lines = (out / "starts.txt").read_text().splitlines()
+    file = out / "starts.txt"
+    lines = file.read_text().splitlines() if file.exists() else []
     return [line for line in lines if ".compile_" not in line]
 
 
@@ -59,16 +66,12 @@ def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(s
 def test_stopped_sweep_resumes_from_checkpoints_to_the_same_table(sweep, tmp_path):
     out, whole = tmp_path / "out", tmp_path / "whole"
     run_sweep(sweep, whole, Workers(jobs=1))
-    out.mkdir()
     stop = threading.Event()
+    wait_after(out, 2)
 
     def hold_and_stop():
         """After two results, the next run waits; then the sweep is stopped."""
-        while len(list((out / "runs").glob("*/result.json"))) < 2:
-            time.sleep(0.01)
-        (out / "wait").touch()
-        count = len(starts(out))
-        while len(starts(out)) == count:
+        while len(starts(out)) < 3:
             time.sleep(0.01)
         time.sleep(0.3)
         stop.set()
@@ -127,14 +130,10 @@ def driver(folder, out, *arguments):
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
-def hold_after(out, count, process):
-    """Let the next run wait after a number of results; return the time stamps of the results."""
-    while len(list((out / "runs").glob("*/result.json"))) < count:
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.01)
-    (out / "wait").touch()
-    started = len(starts(out))
-    while len(starts(out)) == started:
+def results_before_waiting(out, process):
+    """Time stamps of the results once the next run waits."""
+    count = int((out / "wait").read_text())
+    while len(starts(out)) <= count:
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.01)
     time.sleep(0.5)
@@ -145,8 +144,9 @@ def test_killed_sweep_continues_to_the_same_table(sweep, tmp_path):
     """The driver and its run are killed by SIGKILL."""
     out = tmp_path / "out"
     run_sweep(sweep, tmp_path / "whole", Workers(jobs=1))
+    wait_after(out, 2)
     first = driver(tmp_path, out, "--jobs", "1")
-    before = hold_after(out, 2, first)
+    before = results_before_waiting(out, first)
     running = subprocess.run(["pgrep", "-P", str(first.pid)], capture_output=True, text=True).stdout.split()
     assert len(running) == 1
     for each in (first.pid, *map(int, running)):
@@ -162,8 +162,9 @@ def test_killed_sweep_continues_to_the_same_table(sweep, tmp_path):
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_stop_signal_leaves_a_table_and_a_checkpoint(sweep, tmp_path, number, code):
     out = tmp_path / "out"
+    wait_after(out, 1)
     process = driver(tmp_path, out, "--jobs", "1")
-    hold_after(out, 1, process)
+    results_before_waiting(out, process)
     process.send_signal(number)
     _, messages = process.communicate(timeout=60)
     assert process.returncode == code and "repeating the command continues it" in messages
@@ -190,8 +191,9 @@ def test_external_scheduler_gives_the_same_table_although_a_worker_is_killed(swe
         first = started(stack, worker, tmp_path)
         with distributed_client(file) as client:
             client.wait_for_workers(1, timeout=100)
+        wait_after(out, 2)
         process = driver(tmp_path, out, *where)
-        before = hold_after(out, 2, process)
+        before = results_before_waiting(out, process)
         running = subprocess.run(["pgrep", "-P", str(first.pid)], capture_output=True, text=True).stdout.split()
         for each in (first.pid, *map(int, running)):
             os.kill(each, signal.SIGKILL)
