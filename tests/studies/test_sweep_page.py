@@ -1,6 +1,8 @@
 """Pages of a sweep and of a calibration, from files of runs with known numbers."""
 
 import json
+import shutil
+import subprocess
 from dataclasses import replace
 from math import pi, sin
 
@@ -25,6 +27,9 @@ from granflow.studies.sweep.table import table_of
 
 def ishigami(x, y, z):
     return sin(x) + 7.0 * sin(y) ** 2 + 0.1 * z**4 * sin(x)
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def finished(folder, name, value, aborts=False):
@@ -118,6 +123,35 @@ def test_overlay_shows_the_series_of_all_runs(tmp_path):
     assert set(plot.figure["data"][1]["y"]) == {2.0}
     labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
     assert labels == ["mass flow, out", "flow mass, out"]
+
+
+def test_overlay_shows_angles_in_degrees(tmp_path):
+    made = finished(tmp_path, "a", 1.0)
+    (made.directory / "timeseries.csv").write_text("time [s],stage,repose [rad]\n0,run,0\n1,run,0.4\n")
+    figure = series_overlay([NamedRun("a", "", made.directory)], [], "x").figure
+    assert figure["data"][0]["y"] == [0.0, pytest.approx(0.4 * 180.0 / pi)]
+    assert figure["layout"]["yaxis"]["title"]["text"] == "repose (deg)"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+@pytest.mark.parametrize("parameters, plots", [(("a.x",), 3), (("a.x", "a.y"), 5)])
+def test_browser_draws_each_plot(tmp_path, parameters, plots):
+    """Plotly draws an SVG of class main-svg in each plot; a scatter matrix of two columns made it fail."""
+    pytest.importorskip("plotly")
+    content = {"scene": "a.yaml", "vary": dict.fromkeys(parameters, [0.1, 0.2, 0.3]), "read": ["mass_flow.out"]}
+    sweep = SweepInput.model_validate(content)
+    points = [
+        (point, [finished(tmp_path, f"run{k}", sum(point.values.values()))])
+        for k, point in enumerate(design_points(sweep))
+    ]
+    outcomes = {each.request.directory: final_outcome(each.directory) for _, (each,) in points}
+    write_sweep_page(tmp_path, sweep, "study", table_of(tuple(sweep.vary), sweep.read, points, outcomes))
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    command += ["--virtual-time-budget=9000", "--dump-dom", (tmp_path / "sweep.html").as_uri()]
+    page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    page = page.partition("<body")[2]
+    assert page.count('class="plot-container') == plots and ">The plot cannot be shown" not in page
 
 
 def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):

@@ -49,12 +49,17 @@ def library() -> str:
     return deflated(get_plotlyjs().encode())
 
 
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor from the unit of a column to the unit in plots, and that unit: degrees for angles."""
+    return (float(np.degrees(1.0)), "deg") if unit == "rad" else (1.0, unit)
+
+
 def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
     """Plot of a group of columns against time, with the stages of the run.
 
     All columns of a group have the same unit; angles are shown in degrees.
     """
-    per_unit, shown = (float(np.degrees(1.0)), "deg") if group.unit == "rad" else (1.0, group.unit)
+    per_unit, shown = shown_unit(group.unit)
     curves = [
         _curve(look, column, series, per_unit, shown)
         for look, column in zip(_looks(group.columns), group.columns, strict=True)

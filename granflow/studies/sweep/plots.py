@@ -100,9 +100,11 @@ def _groups(values: Sequence[Any]) -> list[tuple[Any, list[int]]]:
     return [(plain(float(np.mean([values[k] for k in each]))), each) for each in members if each]
 
 
-def scatter_matrix(table: ShownTable) -> Plot:
-    """Each parameter and quantity against each other."""
+def scatter_matrix(table: ShownTable) -> Plot | None:
+    """Each parameter and quantity against each other; None for two, which the plots of effects show."""
     rows = usable_rows(table)
+    if len(table.parameters) + len(table.quantities) <= 2:
+        return None
     dimensions = [
         {"label": _in_lines(table.parameter_label(name)), "values": [plain(table.value(row, name)) for row in rows]}
         for name in table.parameters

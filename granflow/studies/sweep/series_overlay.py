@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.figures import COLORS
-from granflow.studies.report.plots import DASHES, Plot
+from granflow.studies.report.plots import DASHES, Plot, shown_unit
 from granflow.studies.report.series import thinned
 from granflow.studies.sweep.axes import axis, layout, plain
 
@@ -69,9 +69,9 @@ def _columns(found: Sequence[TimeSeriesTable], first: Sequence[str]) -> list[Ser
 
 
 def _curve(series: TimeSeriesTable, name: str) -> tuple[list[Any], list[Any]]:
-    """Times [s] and values of one column, thinned."""
+    """Times [s] and values of one column in the unit of plots, thinned."""
     column = next(each for each in series.columns if each.name == name)
-    time, values = thinned(series.time, column.values, MOST_POINTS)
+    time, values = thinned(series.time, shown_unit(column.unit)[0] * column.values, MOST_POINTS)
     return [plain(each) for each in time.tolist()], [plain(each) for each in values.tolist()]
 
 
@@ -82,4 +82,4 @@ def _button(column: SeriesColumn, curves: Sequence[tuple[list[Any], list[Any]]])
 
 
 def _title(column: SeriesColumn) -> str:
-    return f"{column.text} ({column.unit})" if column.unit else column.text
+    return f"{column.text} ({shown_unit(column.unit)[1]})" if column.unit else column.text

@@ -51,13 +51,19 @@ function drawPlot(figure) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 }
 
+function sayWhy(figure, error) {
+  figure.querySelector("div").textContent = `The plot cannot be shown: ${error.message}.`;
+}
+
 inflated(document.querySelector("#plotly").textContent).then((bytes) => {
   const script = document.createElement("script");
   script.textContent = new TextDecoder().decode(bytes);
   document.head.append(script);
-  document.querySelectorAll("figure.plot").forEach(drawPlot);
-}).catch((error) => {
-  for (const plot of document.querySelectorAll("figure.plot > div")) {
-    plot.textContent = `The plot cannot be shown: ${error.message}.`;
+  for (const figure of document.querySelectorAll("figure.plot")) {
+    try {
+      drawPlot(figure);
+    } catch (error) {
+      sayWhy(figure, error);
+    }
   }
-});
+}).catch((error) => document.querySelectorAll("figure.plot").forEach((figure) => sayWhy(figure, error)));
