@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         SegregationMetric,
         SlidingMetric,
     )
+    from granflow.scene.schema.clumps import Clump, ClumpSphere
     from granflow.scene.schema.contact import Contact
     from granflow.scene.schema.damping import Damping
     from granflow.scene.schema.domain import Domain, LeesEdwards
@@ -94,6 +95,8 @@ __all__ = [
     "CenterOfMassMetric",
     "Checkpoints",
     "ClassSizes",
+    "Clump",
+    "ClumpSphere",
     "Cone",
     "Contact",
     "ContentMetric",
@@ -183,6 +186,8 @@ _LOCATIONS = {
     "CenterOfMassMetric": "granflow.scene.schema.analysis:CenterOfMassMetric",
     "Checkpoints": "granflow.scene.schema.output:Checkpoints",
     "ClassSizes": "granflow.scene.schema.sizes:ClassSizes",
+    "Clump": "granflow.scene.schema.clumps:Clump",
+    "ClumpSphere": "granflow.scene.schema.clumps:ClumpSphere",
     "Cone": "granflow.scene.schema.walls:Cone",
     "Contact": "granflow.scene.schema.contact:Contact",
     "ContentMetric": "granflow.scene.schema.analysis:ContentMetric",

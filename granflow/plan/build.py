@@ -92,7 +92,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
     _refuse_geometry(scene, walls, radius_max, skin + laws.range)
-    particle_count = sum(group.count for group in scene.particles.values())
+    particle_count = sum(group.sphere_count for group in scene.particles.values())
     controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
         **_as_given(scene),

@@ -48,8 +48,7 @@ def _both(first: str, second: str) -> str:
 def _of_particles(scene: Scene, name: str, group: Group, other: Group, sizes: tuple[float, float]) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii = np.array(sizes) / 2.0
-    densities = [solid(scene.materials, each.material).density for each in (group, other)]
-    masses = 4.0 / 3.0 * np.pi * radii**3 * densities
+    masses = [_mass(scene, each, radius) for each, radius in zip((group, other), radii, strict=True)]
     inverse = sum(0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True))
     pair = pair_material(scene, group.material, other.material)
     radius_eff = float(1.0 / (1.0 / radii).sum())
@@ -58,9 +57,15 @@ def _of_particles(scene: Scene, name: str, group: Group, other: Group, sizes: tu
     )
 
 
+def _mass(scene: Scene, group: Group, radius: float) -> float:
+    """Mass [kg] of a sphere with a radius [m], or of the clump to which it belongs."""
+    volume = 4.0 / 3.0 * np.pi * radius**3 if group.clump is None else group.clump.shape.volume
+    return float(volume * solid(scene.materials, group.material).density)
+
+
 def _of_wall(scene: Scene, name: str, group: Group, wall: str) -> TouchingPair:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size (Hertz)."""
     radius = 0.5 * diameter_range(group)[0]
-    mass = 4.0 / 3.0 * np.pi * radius**3 * solid(scene.materials, group.material).density
+    mass = _mass(scene, group, radius)
     pair = pair_material(scene, group.material, wall)
     return TouchingPair(f"particles of {name} and walls of {wall}", (group.material, wall), pair, radius, radius, mass)
