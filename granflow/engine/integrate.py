@@ -38,15 +38,14 @@ def build_integrate(state: State) -> Any:
              external_work, losses, impulses; as `build_wrap`, with clumps as `build_move_clump`
     """
     particles, features = state.particles, state.plan.features
-    mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
-    step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
-    wrap = build_wrap(state) if periodic else None
-    add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
+    periodic, counts_damping = features.periodic != "none", features.damping != "none" and features.energy_budget
+    step_limit, wrap = state.parameter("travel_limit_squared"), build_wrap(state) if periodic else None
+    add_work, carry_impulses = build_add_external_work(state), build_carry_impulses(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    carry_impulses, weight_rest, real = build_carry_impulses(state), build_weight_rest(state), state.backend.real
-    square_of_sums, request = _build_square_of_sums(state), _build_request(state)
+    weight_rest, square_of_sums = build_weight_rest(state), _build_square_of_sums(state)
+    mobility, request, real = build_mobility(state), _build_request(state), state.backend.real
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
-    gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
+    gravity, shift, per_unit, chunk_size = map(state.parameter, ("gravity", "shift", "per_unit", "chunk_size"))
 
     @ti.func
     def integrate(chunk, count, pose, dt):
@@ -70,8 +69,7 @@ def build_integrate(state: State) -> Any:
             position = particles.position[i] + step_displacement
             particles.position[i] = position
             if ti.static(features.rotation):
-                # A sphere needs no orientation and no gyroscopic term.
-                torque = particles.torque[i]
+                torque = particles.torque[i]  # a sphere needs no orientation and no gyroscopic term
                 inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
                 particles.angular_velocity[i] = particles.angular_velocity[i] + mobility(i) * dt / inertia * torque
             if ti.static(counts_damping):

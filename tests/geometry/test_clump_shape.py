@@ -15,7 +15,7 @@ def shape_of(centers, radii):
 def two_spheres(radius, distance):
     """Volume and moments (along, across the axis) of two equal overlapping spheres about their center.
 
-    A body of revolution about x with the radius y(x): V = pi int y^2, I_x = pi/2 int y^4, I_y = pi int (y^4/4 + x^2 y^2)
+    Body of revolution about x with the radius y(x): V = pi int y^2, I_x = pi/2 int y^4, I_y = pi int (y^4/4 + x^2 y^2)
     with y^2 = R^2 - (x - d/2)^2 for x from 0 to d/2 + R, and the same on the other side.
     """
     x = Polynomial([0.0, 1.0])

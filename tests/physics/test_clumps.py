@@ -121,7 +121,8 @@ def test_energy_of_elastic_rods_is_conserved_over_many_steps(taichi_f64):
     group = clump_group([[0.0, 0.0, 0.008]], orientation=about([0, 1, 0], 35), velocity=[0.0, 0.0, 0.0])
     scene = build_scene(
         {"rod": group}, {"plate": plane([0, 0, 0], [0, 0, 1])}, {"restitution": 1.0, "friction": 0.0}, normal="hertz",
-        gravity=[0.0, 0.0, -9.81], materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY}},
+        gravity=[0.0, 0.0, -9.81],
+        materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": DENSITY}},
         run={"duration": 0.1, "time_step": 1e-6, "velocity_max": 1.0}, output={"interval": 1.0, "energy_budget": True},
     )  # fmt: skip
     snapshots = run_and_sample(scene, 2e-3, threads=1)
