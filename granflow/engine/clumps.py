@@ -1,8 +1,8 @@
 """Clumps on the device: rigid bodies whose spheres are particles.
 
 Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of the scene
-and orientation q, a quaternion. Each copy is integrated with the same operations, from the forces on all spheres in the
-order of their ids, so that all copies have the same bits, and no sphere writes to another one.
+and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the forces on all spheres
+in the order of their ids, so that all copies have the same bits, and no sphere writes to another one.
 
 Leapfrog form of velocity Verlet, with the torque M about the center of mass and the principal moments I:
 
@@ -24,44 +24,47 @@ from granflow.kernel_language import ti
 
 
 @ti.func
-def rotated(q, vector):
-    """A vector along the principal axes (x, y, z) in the frame of the scene; q is (w, x, y, z)."""
-    u = ti.Vector([q[1], q[2], q[3]])
-    twice = 2.0 * u.cross(vector)
-    return vector + q[0] * twice + u.cross(twice)
-
-
-@ti.func
-def rotated_back(q, vector):
-    """A vector in the frame of the scene along the principal axes: the inverse of `rotated`."""
-    return rotated(ti.Vector([q[0], -q[1], -q[2], -q[3]]), vector)
+def scaled_rotation(q):
+    """|q|^2 times the rotation matrix of a quaternion (w, x, y, z); its columns are the principal axes."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ti.Matrix(
+        [
+            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
 
 
 @ti.func
 def turned(q, axis: ti.template(), tangent):
-    """q after a rotation about principal axis `axis`, whose half angle has the given tangent: q (1 + tangent e)."""
-    w, u = q[0], ti.Vector([q[1], q[2], q[3]])
+    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent e).
+
+    The result is sqrt(1 + tangent^2) times as long as q.
+    """
+    u = ti.Vector([q[1], q[2], q[3]])
     e = 0.0 * u
     e[axis] = tangent
-    v = u + w * e + u.cross(e)
-    factor = 1.0 / ti.sqrt(1.0 + tangent * tangent)
-    return factor * ti.Vector([w - u.dot(e), v[0], v[1], v[2]])
+    v = u + q[0] * e + u.cross(e)
+    return ti.Vector([q[0] - u.dot(e), v[0], v[1], v[2]])
 
 
 @ti.func
 def half_turned(q, momentum, inertia, dt, axes: ti.template()):
-    """q after rotations of dt/2 about the principal axes in the given order, with an angular momentum."""
-    found = q
+    """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
+    found, square, quarter = q, q.dot(q), 0.25 * dt / inertia
     for axis in ti.static(axes):
-        along = rotated_back(found, momentum)[axis]
-        found = turned(found, axis, 0.25 * dt * along / inertia[axis])
+        along = (scaled_rotation(found).transpose() @ momentum)[axis]
+        tangent = quarter[axis] * along / square
+        found, square = turned(found, axis, tangent), square * (1.0 + tangent * tangent)
     return found / ti.sqrt(found.dot(found))
 
 
 @ti.func
 def angular_velocity_of(q, momentum, inertia):
-    """Angular velocity [rad/s] in the frame of the scene."""
-    return rotated(q, rotated_back(q, momentum) / inertia)
+    """Angular velocity [rad/s] in the frame of the scene of a clump with a unit quaternion q: R (R^T L / I)."""
+    rotation = scaled_rotation(q)
+    return rotation @ ((rotation.transpose() @ momentum) / inertia)
 
 
 def build_clump_sums(state: State) -> Any:
@@ -74,10 +77,11 @@ def build_clump_sums(state: State) -> Any:
     @ti.func
     def clump_sums(i):
         force_sum, torque_sum = ti.Vector.zero(real, 3), ti.Vector.zero(real, 3)
+        rotation = scaled_rotation(particles.orientation[i])
         for member in range(particles.clump_size[i]):
             j = particles.index_of_id[particles.clump[i] + member]
             force = ti.cast(particles.force[j], real)
-            arm = rotated(particles.orientation[i], particles.clump_offset[j])
+            arm = rotation @ particles.clump_offset[j]
             force_sum += force
             torque_sum += ti.cast(particles.torque[j], real) + arm.cross(force)
         return force_sum, torque_sum
@@ -108,8 +112,8 @@ def build_move_clump(state: State) -> Any:
         velocity, momentum = particles.clump_velocity[i] + kick, particles.clump_angular_momentum[i] + step * torque
         q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
         q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
-        arm = rotated(q_new, offset)
-        displacement = step * velocity + (arm - rotated(q, offset))
+        arm = scaled_rotation(q_new) @ offset
+        displacement = step * velocity + (arm - scaled_rotation(q) @ offset)
         particles.clump_velocity[i], particles.clump_angular_momentum[i] = velocity, momentum
         particles.orientation[i] = q_new
         particles.velocity[i] = ti.cast(displacement / step, real)

@@ -194,7 +194,7 @@ def _check_arrays(
         if array.dtype == "i64":
             part[name].integers(*saved_shape, low=-(2**63), high=2**63 - 1)
         elif array.dtype == "i32":
-            part[name].integers(*saved_shape)
+            part[name].integers(*saved_shape, low=-1 if name == "clump" else 0)  # -1 for single spheres
         else:
             part[name].floats(*saved_shape)
 

@@ -13,16 +13,17 @@ from granflow.errors import GranflowError
 from granflow.geometry.quaternion import matrices
 from granflow.simulation import Simulation
 
-FRICTION = {"friction": 0.4, "restitution": 0.6}
+FRICTION = {"friction": 0.4, "restitution": 0.4}
 TRIANGLE = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]]
 
 
 def falling_clumps(duration=0.03, **changes):
-    """64 clumps of two kinds, 27 spheres and rain of clumps in a box: friction, rebuilds, several chunks."""
+    """32 clumps of two kinds, 9 spheres and rain of clumps in a box: friction, rebuilds, several chunks."""
     rng = np.random.default_rng(8)
     sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
-    rods = clump_group(sites[:16], velocity=rng.normal(0.0, 0.3, (16, 3)), angular_velocity=rng.normal(0, 50, (16, 3)))
-    others = clump_group(sites[16:], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel")
+    velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
+    rods = clump_group(sites[:16], velocity=velocity, angular_velocity=rng.normal(0, 50, (16, 3)))
+    others = clump_group(sites[16:], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", velocity=velocity)
     balls = particle_group(0.012 * np.argwhere(np.ones((3, 3, 1))) + [0.01, 0.01, 0.035], 0.005)
     region = {"box": {"min": [0.002, 0.002, 0.042], "max": [0.052, 0.052, 0.054]}}
     rain = {
@@ -30,21 +31,21 @@ def falling_clumps(duration=0.03, **changes):
         "insert": {"kind": "rain", "region": region, "rate": 1500.0},
     }  # fmt: skip
     parts = {
-        "pair": FRICTION, "gravity": [0.0, 0.0, -9.81], "numerics": {"chunk_size": 16},
-        "run": {"duration": duration, "velocity_max": 2.0, "time_step": 4e-6},
+        "pair": FRICTION, "gravity": [0.0, 0.0, -100.0], "numerics": {"chunk_size": 16, "max_overlap": 0.2},
+        "run": {"duration": duration, "velocity_max": 4.0, "time_step": 4e-6},
         "output": {"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.002, "keep": 100}},
     }  # fmt: skip
     return build_scene({"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes))
 
 
-def fingerprint(threads, precision="f64", as_on_gpu=False, **changes):
+def fingerprint(threads, precision="f64", as_on_gpu=False, changes=None):
     """Digest of the final state, and numbers of contacts and rebuilds."""
     workers.SINGLE_WORKER_PARTICLES = 0
     if threads == MORE_THAN_POOL:
         backend.worker_count = lambda requested: (requested, "")
     if as_on_gpu:
         backend.Backend.on_cpu = property(lambda self: False)
-    last, simulation = run_to_end(falling_clumps(**changes), threads=threads, precision=precision)
+    last, simulation = run_to_end(falling_clumps(**changes or {}), threads=threads, precision=precision)
     more = [last.particles[name] for name in ("orientation", "clump_position", "clump_angular_momentum")]
     totals = {name: last.totals[name] for name in ("rotational_energy", "energy_error", "contact_count")}
     return [digest_of(last, *more), totals, simulation.engine.timing.rebuild_count]
@@ -53,13 +54,13 @@ def fingerprint(threads, precision="f64", as_on_gpu=False, **changes):
 @pytest.mark.parametrize("precision", ["f64", "mixed"])
 def test_results_are_bit_identical_for_any_thread_count(precision):
     one, *others = (in_subprocess(fingerprint, n, precision, seconds=600) for n in (1, 2, MORE_THAN_POOL))
-    assert one[2] > 2 and one[1]["contact_count"] > 50
+    assert one[2] > 2 and one[1]["contact_count"] > 20
     assert others == [one] * 2
 
 
 def test_code_path_of_a_gpu_has_the_bits_of_the_cpu():
-    changes = {"numerics": {"chunk_size": 1}, "duration": 0.01}
-    cpu, gpu = (in_subprocess(fingerprint, 2, "f64", on_gpu, seconds=600, **changes) for on_gpu in (False, True))
+    changes = {"numerics": {"chunk_size": 1, "max_overlap": 0.2}, "duration": 0.02}
+    cpu, gpu = (in_subprocess(fingerprint, 2, "f64", on_gpu, changes, seconds=600) for on_gpu in (False, True))
     assert cpu[2] > 2
     assert gpu == cpu
 
@@ -99,7 +100,7 @@ def test_spheres_of_a_clump_remain_in_place_and_do_not_collide(taichi_f64):
         arms = particles["clump_offset"][rows] @ rotation.T
         assert position == pytest.approx(particles["clump_position"][rows] + arms, abs=1e-15)
     assert np.ptp(particles["orientation"][rows], axis=0).max() == 0.0, "all spheres have the same copy"
-    assert last.totals["overlap_largest"] < 0.1
+    assert last.totals["overlap_largest"] < 0.2
     assert (particles["clump"] < 0).sum() == 9
 
 
