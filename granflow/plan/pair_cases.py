@@ -51,8 +51,11 @@ def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
 def build_laws(scene: Scene, velocity: float) -> ContactLaws:
     """The contact laws of the scene.
 
-    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants.
+    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound theta^2 M
+    of the unloading tangent refers to the mass of a sphere, also where M is that of a clump: eccentric contacts move
+    less mass.
     """
+    unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, scene.particles.values())) ** 0.5
     pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
     laws: dict[str, Any] = {}
     radius_max = max(0.5 * diameter_range(group)[1] for group in scene.particles.values())
@@ -61,7 +64,7 @@ def build_laws(scene: Scene, velocity: float) -> ContactLaws:
             scene.contact.options(slot),
             pairs,
             velocity,
-            scene.numerics.unloading_angle,
+            unloading_angle,
             scene.output.energy_budget,
             radius_max,
         )
@@ -197,18 +200,25 @@ def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
     smallest, largest = (0.5 * diameter for diameter in diameter_range(group))
     material_solid = solid(scene.materials, group.material)
-    mass = _sphere_mass(smallest, material_solid.density)
+    mass, ratio = _sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
-        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid)
+        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
     other_smallest, other_largest = (0.5 * diameter for diameter in diameter_range(other))
     largest = min(largest, other_largest)
     if other.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
-        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid)
+        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
     other_mass = _sphere_mass(other_smallest, solid(scene.materials, other.material).density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
-    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid)
+    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
+
+
+def _mass_ratio(group: Group | None) -> float:
+    """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
+    if group is None or group.clump is None:
+        return 1.0
+    return group.clump.shape.volume / _sphere_mass(0.5 * diameter_range(group)[0], 1.0)
 
 
 def _sphere_mass(radius: float, density: float) -> float:

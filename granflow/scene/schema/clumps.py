@@ -1,13 +1,14 @@
 """Schema of the key `clump` of particle groups: rigid bodies of spheres, and their orientation."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
 from granflow.geometry.clump_shape import ClumpShape, clump_shape
 from granflow.scene.schema import quantities as q
+from granflow.scene.schema.faults import Fault, whole
 from granflow.scene.schema.fields import ListOf, Model, choose_by
-from granflow.scene.schema.numbers import value_error
 from granflow.scene.schema.walls import RotationStep
 
 MOST_SPHERES = 100
@@ -40,13 +41,6 @@ Orientation = Annotated[
 """Random orientations, one rotation for all clumps, or one for each."""
 
 
-def _limited(spheres: tuple[ClumpSphere, ...]) -> tuple[ClumpSphere, ...]:
-    """The spheres. Raises PydanticCustomError for more than MOST_SPHERES."""
-    if len(spheres) > MOST_SPHERES:
-        raise value_error(f"a clump has at most {MOST_SPHERES} spheres; leave some out")
-    return spheres
-
-
 class Clump(Model):
     """A rigid body of spheres, which may overlap; its density is that of the material, and overlaps count once.
 
@@ -63,6 +57,11 @@ class Clump(Model):
         description="orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
         "insert: {kind: positions}, also a list; default: as given",
     )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for more than MOST_SPHERES spheres."""
+        if len(self.spheres) > MOST_SPHERES:
+            yield whole(("spheres",), f"has {len(self.spheres)} spheres, but the limit is {MOST_SPHERES}")
 
     @property
     def shape(self) -> ClumpShape:
