@@ -27,7 +27,7 @@ def checkpoints(scene, tmp_path_factory, taichi_f64):
 def test_resumed_run_is_bit_identical(scene, checkpoints, tmp_path, number):
     whole = checkpoints[0].parent
     saved = read_checkpoint(checkpoints[number]).saved["engine"]
-    assert len(saved["contacts"]["partner"]) > 5
+    assert len(saved["contacts"]["partner"]) > 3
     resume_copy(scene, whole, tmp_path / "again", checkpoints[number])
     assert_identical(whole, tmp_path / "again")
     last = read_checkpoint(checkpoints[-1]).saved["engine"]
