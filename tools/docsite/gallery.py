@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from scene_table import expected_and_run, stored_results
 
 from docsite.markdown import code, table
 from granflow.cli.examples import scene_paths
-from scene_table import expected_and_run, stored_results
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES, PICTURES = ROOT / "scenes", ROOT / "docs" / "pages" / "gallery"
