@@ -25,6 +25,8 @@ FASTEST = 4.0
 """Largest relative velocity [m/s] for which the time step is chosen."""
 FRACTION, PAIR_FRACTION = 0.1, 0.01
 """Time step over the shorter of loading and unloading time, of gases (0.1 % less loss) and of two particles."""
+SAMPLES = 100
+"""Temperatures of each run."""
 IMPACTS, SPEEDS = 16, 4
 """Impact parameters and relative velocities of the collisions of two particles."""
 
@@ -79,7 +81,7 @@ def changed_scene(
     })  # fmt: skip
 
 
-def temperatures(scene: Scene, samples: int = 100) -> tuple[np.ndarray, np.ndarray]:
+def temperatures(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) [s] from START and temperatures (n,) [m2/s2] of a gas."""
     rows: list[tuple[float, float]] = []
 
@@ -87,7 +89,7 @@ def temperatures(scene: Scene, samples: int = 100) -> tuple[np.ndarray, np.ndarr
         velocity = snapshot.particles["velocity"]
         rows.append((snapshot.time, float(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))) / 3.0))
 
-    observer = on_interval((scene.run.duration or 1.0) / samples, record, ("particles",))
+    observer = on_interval((scene.run.duration or 1.0) / SAMPLES, record, ("particles",))
     simulation = Simulation(scene, observers=[observer])
     simulation.run()
     simulation.free()
