@@ -7,8 +7,6 @@ to the host. If the list capacity is too small, the host reallocates the fields 
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -17,11 +15,13 @@ from granflow.engine.exact_sums import shares_rows
 from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles
-from granflow.engine.neighbor.rebuild import NeighborListRebuild
+from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
+from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.periodic_box import upload_offsets
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.state import State
 from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
+from granflow.engine.timing import Timing
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
@@ -34,64 +34,6 @@ FIRST_LAUNCH = 50_000
 
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
-
-
-@dataclass
-class Timing:
-    """Wall-clock time [s] by phase, and counts.
-
-    neighbor_list:        neighbor-list rebuilds
-    advance:              all other phases of the steps
-    sampled_forces:       forces of the sampled steps
-    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
-    rebuild_count:        number of neighbor-list rebuilds
-    step_count:           number of completed steps
-    particle_steps:       sum of the particle counts of all steps
-    growth_count:         number of reallocations with a larger list capacity
-    compile:              compilation of kernels
-    exchange:             part of `advance`: messages between MPI ranks, waiting for slower ranks included
-    """
-
-    neighbor_list: float = 0.0
-    advance: float = 0.0
-    sampled_forces: float = 0.0
-    sampled_integration: float = 0.0
-    rebuild_count: int = 0
-    step_count: int = 0
-    particle_steps: int = 0
-    growth_count: int = 0
-    compile: float = 0.0
-    exchange: float = 0.0
-
-    @property
-    def forces(self) -> float:
-        """Wall-clock time [s] of contact forces."""
-        sampled, computing = self.sampled_forces + self.sampled_integration, self.advance - self.exchange
-        return computing * self.sampled_forces / sampled if sampled else computing
-
-    @property
-    def integration(self) -> float:
-        """Wall-clock time [s] of time integration."""
-        return self.advance - self.exchange - self.forces
-
-
-class Rebuild(Protocol):
-    """Rebuild of the neighbor lists."""
-
-    def compile(self) -> None:
-        """Compile the kernels, unless the state has them."""
-
-    def run(self, pose: int, workers: int) -> None:
-        """Rebuild the lists at an index of the wall poses, with a number of workers."""
-
-    def put(self, particles: HostParticles) -> None:
-        """Put particles on an empty device; the next rebuild lists them."""
-
-    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
-        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
-
-    def ids(self) -> np.ndarray:
-        """Ids of all particles that lists can contain, by index."""
 
 
 class Stepper:

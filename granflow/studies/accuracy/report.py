@@ -9,7 +9,6 @@ from granflow.studies.accuracy import axes
 from granflow.studies.accuracy.axes import (
     INTEGRATOR,
     STUDIED_LAWS,
-    StudiedLaw,
 )
 from granflow.studies.accuracy.collisions import REPEATS
 from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
@@ -43,25 +42,19 @@ class TwoBodyStudy:
 
 
 def measure_two_bodies(
-    target: float,
-    full: bool = False,
-    report: Callable[[str], None] = lambda text: None,
-    studied_laws: Sequence[StudiedLaw] = STUDIED_LAWS,
-    precisions: Sequence[str] = axes.PRECISIONS,
-    steps: Sequence[float] | None = None,
+    target: float, full: bool = False, report: Callable[[str], None] = lambda text: None
 ) -> TwoBodyStudy:
     """Measure every combination, each precision in a separate process.
 
     `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages. `steps`: numbers of steps per collision instead of the default ones. Raises GranflowError if a process
-    dies.
+    messages. Raises GranflowError if a process dies.
     """
-    counts = steps or (axes.FULL_STEPS if full else axes.STEPS)
+    counts = axes.FULL_STEPS if full else axes.STEPS
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
-    for precision in precisions:
+    for precision in axes.PRECISIONS:
         with worker_process() as process:
-            for studied_law in studied_laws:
+            for studied_law in STUDIED_LAWS:
                 report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
                 line, problems = process.submit(measured_line, studied_law, precision, counts, repeats, 1).result()
                 lines.append(line)
