@@ -30,8 +30,8 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
     explained = max((each.overlap for each in static), default=0.0)
     for sentence in (
         *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
-        *size_warnings(scene, plan.group_diameters),
-        *wall_warnings(scene, plan.walls, plan.radius_max, times),
+        *size_warnings(scene),
+        *wall_warnings(scene, plan.walls, times),
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),

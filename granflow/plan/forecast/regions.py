@@ -27,7 +27,7 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
         region = region_of(group)
         if region is None or group.fixed:
             continue
-        radius = 0.5 * plan.group_diameters[name][0]
+        radius = 0.5 * diameter_range(group)[0]
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))

@@ -1,6 +1,6 @@
 """Forecasts of walls and particles that are far outside the domain, and of walls that leave it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
 from granflow.load import Scene
 from granflow.plan.forecast.times import present_from
+from granflow.plan.size_classes import diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
-from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.motions import Translation
 
 POINTS_PER_AXIS = 13
@@ -23,7 +23,7 @@ TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
 
 
-def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], radius_max: float, times: StageTimes) -> Iterator[str]:
+def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
     """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
 
     Domains that expand have no outside. Meshes outside the domain have notes of their own.
@@ -34,19 +34,20 @@ def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], radius_max: float,
         endless = _is_endless(scene, wall)
         if isinstance(wall.shape, Mesh) and not endless:
             continue
-        if _gaps(scene.domain, wall, radius_max, times, 1)[0] <= 0.0 and not endless:
+        if _gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
             continue
-        gap = _gaps(scene.domain, wall, radius_max, times, TIMES if wall.motions else 1)
+        gap = _gaps(scene, wall, times, TIMES if wall.motions else 1)
         if (gap > 0.0).all():
             yield _outside(scene, wall, float(gap.min()))
         elif gap[-1] > 0.0 and endless:
             yield _leaves(scene, wall, times, gap)
 
 
-def size_warnings(scene: Scene, diameters: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+def size_warnings(scene: Scene) -> Iterator[str]:
     """A sentence for each group with particles that are larger than the domain."""
     largest_side = float(np.subtract(scene.domain.max, scene.domain.min).max())
-    for name, (_, diameter) in diameters.items():
+    for name, group in scene.particles.items():
+        diameter = diameter_range(group)[1]
         if diameter > TOO_LARGE * largest_side and scene.domain.on_exit != "expand":
             yield (
                 f"particles.{name} ({scene.where('particles', name, 'diameter')}): the diameter {diameter:.3g} m is "
@@ -54,16 +55,17 @@ def size_warnings(scene: Scene, diameters: Mapping[str, tuple[float, float]]) ->
             )
 
 
-def _gaps(domain: Domain, wall: PlannedWall, radius_max: float, times: StageTimes, count: int) -> np.ndarray:
+def _gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
     """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of the run.
 
     The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2 of the
     nearest center. The first time is that at which the wall appears, the last one the end of the run.
     """
-    low, high = np.array(domain.min), np.array(domain.max)
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
     axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1))) + radius_max
+    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
+    reach += 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
     end = max(stage_end for _, stage_end in times.values())
     poses = pose([each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count))
     gaps = []
