@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -188,24 +189,49 @@ def test_an_invalid_scene_is_reported_once(tmp_path):
     assert done.stderr.count("durations") == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_rank_ends_all_within_seconds(tmp_path, number):
+@contextmanager
+def endless_run(folder):
+    """The process of mpirun and those of two ranks, which compute the steps of a scene of 50 s."""
     walls, positions = box(0.1), 0.012 * (np.argwhere(np.ones((8, 8, 8))) + 0.5)
     scene = build_scene({"bed": particle_group(positions)}, walls, gravity=[0.0, 0.0, -9.81], run={"duration": 50.0})
     command = [rank_launcher.MPIRUN, "-n", "2", sys.executable, "-m", "granflow", "run", "--mpi"]
-    command += [str(scene.save(tmp_path / "scene.yaml")), "--out", str(tmp_path / "out")]
+    command += [str(scene.save(folder / "scene.yaml")), "--out", str(folder / "out")]
     with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as launcher:
-        while not (tmp_path / "out" / "particles_0000.vtu").exists():
+        while not (folder / "out" / "particles_0000.vtu").exists():
             assert launcher.poll() is None
             time.sleep(0.1)
         ranks = [each for each in psutil.Process(launcher.pid).children(recursive=True) if "python" in each.name()]
         assert len(ranks) == 2
-        began = time.monotonic()
-        if number == signal.SIGKILL:
-            os.kill(ranks[-1].pid, number)
-        else:
-            launcher.send_signal(number)
-        launcher.wait(timeout=60)
-        assert time.monotonic() - began < LONGEST_END
-        assert not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in ranks)
+        try:
+            yield launcher, ranks
+        finally:
+            for process in [each for each in ranks if each.is_running()]:
+                process.kill()
+
+
+def wait_for_end(launcher, ranks):
+    """Assert that all processes end within LONGEST_END."""
+    launcher.wait(timeout=LONGEST_END)
+    assert not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in ranks)
+
+
+@pytest.mark.slow
+def test_a_killed_rank_ends_all_within_seconds(tmp_path):
+    with endless_run(tmp_path) as (launcher, ranks):
+        os.kill(ranks[-1].pid, signal.SIGKILL)
+        wait_for_end(launcher, ranks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("receives", ["mpirun", "ranks"])
+def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(tmp_path, number, receives):
+    """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job."""
+    with endless_run(tmp_path) as (launcher, ranks):
+        time.sleep(2.0)
+        for process in ranks if receives == "ranks" else [launcher]:
+            os.kill(process.pid, number)
+        wait_for_end(launcher, ranks)
+    (checkpoint,) = (tmp_path / "out").glob("checkpoint_*.npz")
+    until = read_checkpoint(checkpoint).time + 1e-3
+    completed(run_on_ranks(3, "resume", tmp_path / "out", "--mpi", "--until", until))
