@@ -37,8 +37,6 @@ NARROW, WIDE = 36e-3, 74e-3
 """Radii [m] of the shipped silo, and of one that is as wide as Beverloo's law requires for WIDE_ORIFICE."""
 WIDE_ORIFICE = 14e-3
 """Radius [m] of the orifice of the wide silo, which is filled once."""
-SINGLE = 12e-3
-"""Radius of the orifice [m] of the shipped scene."""
 FLAT_COUNT = 4000
 """Particles of the shipped silo."""
 BULK_DENSITY, C, K = 1450.0, 0.58, 1.4
