@@ -83,8 +83,8 @@ def _session(entries: list[LogEntry]) -> RunSession:
     """Session from its entries; texts are empty if the log lacks them."""
     compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
     resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
-    backend = compiled.groups("") if compiled else ("", "", "", "")
-    return RunSession(entries[0].time, entries[0].text, *backend, resumed_from)
+    arch, precision, threads, seconds = compiled.groups("") if compiled else ("",) * COMPILED.groups
+    return RunSession(entries[0].time, entries[0].text, arch, precision, threads, seconds, resumed_from)
 
 
 def explanation(entries: list[LogEntry]) -> str:

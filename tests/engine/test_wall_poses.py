@@ -40,7 +40,7 @@ def test_snapshot_at_any_pose_of_the_batch_is_bit_identical(taichi_f64):
     for steps in (1, 99, 155, 1):
         simulation.step(steps)
         found = simulation.snapshot(contacts=True)
-        simulation.engine.stepper.discard_poses()
+        simulation.engine.stepper.poses.discard()
         again = simulation.snapshot(contacts=True)
         assert len(found.contacts["overlap"]) == 1
         assert found.totals == again.totals

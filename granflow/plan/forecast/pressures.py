@@ -12,6 +12,7 @@ from granflow.geometry.catalog import area_of
 from granflow.load import Scene
 from granflow.particles.regions import BoxSampler, CylinderSampler, sampler_of
 from granflow.particles.sizes import draw_diameters
+from granflow.plan.forecast.advice import pressure_words
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import diameter_range
 from granflow.plan.wall_control import section
@@ -130,11 +131,3 @@ def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     return (
         along * pi * region.radius**2 + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
     )
-
-
-def pressure_words(value: float) -> str:
-    """A pressure [Pa] in MPa, kPa or Pa."""
-    for unit, size in (("MPa", 1e6), ("kPa", 1e3)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value:.3g} Pa"
