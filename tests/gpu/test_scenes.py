@@ -12,6 +12,7 @@ from gpu.scenes import QUICK, SCENES, shaken_box
 from scene_builders import run_to_end
 from subprocess_runner import in_subprocess
 
+from granflow.engine import vulkan_devices
 from granflow.plan import sum_units
 
 pytestmark = pytest.mark.gpu
@@ -80,6 +81,19 @@ def test_scenes_agree_with_the_cpu_in_f64(vulkan, tmp_path):
 @pytest.mark.parametrize("name", SCENES)
 def test_each_scene_agrees_with_the_cpu(vulkan, tmp_path, name, precision):
     assert_agreement([name], tmp_path, precision)
+
+
+def state_in_small_trees(folder, tree_size):
+    """Final state of the scene with the model zhou, with trees of at most this number of bytes."""
+    vulkan_devices.ADDRESSED = tree_size
+    return state_after(SCENES["law zhou"](folder), "vulkan", "f64")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_fields_in_several_buffers_have_the_bits_of_those_in_one(vulkan, tmp_path):
+    one, several = (in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 18))
+    assert one["contacts"] and one == several
 
 
 def long_run(arch, precision):
