@@ -19,7 +19,7 @@ MOST_LEVELS = 12
 
 BINS = 8
 
-EDGE_ROUNDING = 1e-9
+EDGE_ROUNDING = 1e-4
 """A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this share."""
 
 MOST_LINES = 500
