@@ -74,7 +74,7 @@ class Engine(Readings):
             return
         arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
         energy = sum(mechanical_energy(arrays, self._gravity))
-        self.accounting.insert(new.material, new.group, energy)
+        self.accounting.insert(new.material, new.group, self.time, energy)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
         if self._started:

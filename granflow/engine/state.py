@@ -54,7 +54,8 @@ class CellSort(Fields):
     class_order:  particles by class and cell, from `class_start` of a cell
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
-    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them; with
+                       `subpart_`, of the parts of these parts for the threads of a GPU
     reach_largest:     largest reach [m] of all particles
     cell_count:        cells of each grid, and of all size classes
     present:           number of particles that are not deleted
