@@ -63,10 +63,10 @@ def main_effects(table: ShownTable, quantity: str) -> Plot:
         f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
         ", and all points (light)"
     )
-    axes = row_of_axes([table.parameter_label(name) for name in table.parameters], table.label(quantity))
+    row = row_of_axes([table.parameter_label(name) for name in table.parameters], table.label(quantity))
     for k, name in enumerate(table.parameters):
-        axes[f"xaxis{k + 1 if k else ''}"] |= _scale(table, name)
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **axes)})
+        row[f"xaxis{k + 1 if k else ''}"] |= _scale(table, name)
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row)})
 
 
 def _scale(table: ShownTable, name: str) -> dict[str, Any]:
