@@ -8,7 +8,7 @@ from typing import Any
 from granflow.engine.neighbor.cell_grid import build_lay_grids
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
-from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
@@ -40,7 +40,8 @@ def bounds_phase(state: State) -> Phase:
     def bounds(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), rebuild.count)
         smallest, largest, reach_largest, limit = position[begin], position[begin], 0.5 * rebuild.skin, reach_max()
-        for i in range(begin, end):
+        i = begin
+        while i < end and is_count(reach_largest):
             smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
             reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
@@ -48,6 +49,7 @@ def bounds_phase(state: State) -> Phase:
                 reach = particles.reach[i]
             particles.reach[i] = reach
             reach_largest = ti.max(reach_largest, reach)
+            i += 1
         sorting.low[part], sorting.high[part], sorting.reach[part] = smallest, largest, reach_largest
 
     @ti.func
@@ -201,18 +203,22 @@ def _build_particle_parts(
     @ti.func
     def count_particles(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
+        cell, i = 0, begin
+        while i < end and is_count(cell):
             cell = cell_of(i, cells_of_all())
             sorting.cell[i] = cell
             ti.atomic_add(start[cell], 1)
+            i += 1
 
     @ti.func
     def place(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
+        cell, i = 0, begin
+        while i < end and is_count(cell):
             cell = sorting.cell[i]
             rank = ti.atomic_add(sorting.cell_fill[cell], 1)
             order[start[cell] + rank] = i
+            i += 1
 
     return count_particles, place
 
@@ -232,27 +238,32 @@ def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
     @ti.func
     def sum_block(block, rebuild):
         begin, end = range_of(block)
-        total = 0
-        for c in range(begin, end):
+        total, c = 0, begin
+        while c < end and is_count(total):
             total += start[c]
+            c += 1
         sorting.block_sum[block] = total
 
     @ti.func
     def sum_blocks(rebuild):
         total = 0
-        for block in range(block_count(rebuild)):
+        block = 0
+        while block < block_count(rebuild) and is_count(total):
             here = sorting.block_sum[block]
             sorting.block_sum[block] = total
             total += here
+            block += 1
 
     @ti.func
     def scan_block(block, rebuild):
         begin, end = range_of(block)
         total = sorting.block_sum[block]
-        for c in range(begin, end):
+        c = begin
+        while c < end and is_count(total):
             here = start[c]
             start[c] = total
             total += here
+            c += 1
 
     return [Phase(block_count, sum_block, most_blocks, sum_blocks), Phase(block_count, scan_block, most_blocks)]
 

@@ -18,7 +18,7 @@ from granflow.engine.neighbor.cells import (
     wrapped_cell,
 )
 from granflow.engine.neighbor.history_transfer import build_restore_history
-from granflow.engine.neighbor.phases import Phase
+from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
@@ -241,8 +241,10 @@ class NeighborListFill:
     def _append_cells(self, owner: ti.template(), list_index, grid, first, end, image):
         """Append partners from a range of cells of a grid."""
         list_end, cells = list_index, self.sorting.cells[grid]
-        for z in range(first[2], end[2]):
-            for y in range(first[1], end[1]):
+        z = first[2]
+        while z < end[2] and is_count(list_end):
+            y = first[1]
+            while y < end[1] and is_count(list_end):
                 x = first[0]
                 while x < end[0]:
                     cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
@@ -250,6 +252,8 @@ class NeighborListFill:
                     count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
                     list_end = self._append_range(owner, list_end, grid, cell_number(cell, cells), count, image)
                     x += count
+                y += 1
+            z += 1
         return list_end
 
     @ti.func
@@ -258,11 +262,15 @@ class NeighborListFill:
         list_end = list_index
         if ti.static(self.by_class):
             begin = self.sorting.first_cell[grid] + cell
-            for k in range(self.sorting.class_start[begin], self.sorting.class_start[begin + count]):
+            k = self.sorting.class_start[begin]
+            while k < self.sorting.class_start[begin + count] and is_count(list_end):
                 list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
+                k += 1
         else:
-            for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + count]):
+            j = self.sorting.cell_start[cell]
+            while j < self.sorting.cell_start[cell + count] and is_count(list_end):
                 list_end = self._append_if_near(owner, list_end, j, image)
+                j += 1
         return list_end
 
     @ti.func
