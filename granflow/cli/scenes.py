@@ -125,7 +125,7 @@ def check(options: argparse.Namespace) -> int:
     if not fits(plan):
         say(f"{options.scene}: no problems found, but the packing of the particles was not checked.")
         return 0
-    warn(particle_warnings(scene, plan.walls, initial_particles(scene, particles_from_run(scene))))
+    warn(particle_warnings(scene, plan, initial_particles(scene, particles_from_run(scene))))
     inserters(scene)
     say(f"{options.scene}: no problems found.")
     return 0

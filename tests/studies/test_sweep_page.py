@@ -122,7 +122,8 @@ def test_parameters_on_a_logarithmic_scale_have_logarithmic_axes_and_intervals(t
 @pytest.mark.parametrize(
     ("value", "error", "text"),
     [(19.1214, 4.13, "19.1 ± 4.1"), (3.0255e-11, 2.36e-11, "3.0e-11 ± 2.4e-11"), (120.4, 12.0, "120 ± 12"),
-     (0.5, np.nan, "0.5"), (np.nan, np.nan, "–"), (0.25, 0.0, "0.25 ± 0"), (0.012, 3.1, "0.0 ± 3.1"), (1204.0, 130.0, "1200 ± 130")],
+     (0.5, np.nan, "0.5"), (np.nan, np.nan, "–"), (0.25, 0.0, "0.25 ± 0"), (0.012, 3.1, "0.0 ± 3.1"),
+     (1204.0, 130.0, "1200 ± 130")],
 )  # fmt: skip
 def test_a_number_has_the_digits_of_its_standard_error(value, error, text):
     assert with_error(value, error) == text
