@@ -175,10 +175,10 @@ def published(source: str) -> dict[str, np.ndarray]:
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 
-def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
-    """Motion without spin at angles (n,) from the normal [deg] and a speed [m/s]."""
+def at_angles(angle: np.ndarray) -> ImpactMotion:
+    """Motion without spin at angles (n,) from the normal [deg] at SPEED_4."""
     turned = np.radians(angle)
-    return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
+    return ImpactMotion(-SPEED_4 * np.cos(turned), SPEED_4 * np.sin(turned), np.zeros(len(angle)))
 
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:
