@@ -24,7 +24,7 @@ from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
 from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.capacities import WALL_BATCH, Capacities
 
 LAUNCH_SECONDS = 0.05
 """Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
@@ -181,7 +181,10 @@ class Stepper:
         longest:  smallest length of a list for which a batch suffices
         """
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(self.state.capacities.grown(needed, longest + BATCH + LANES), self._compile)
+        self._grow(self.state.capacities.grown(needed, longest + BATCH + LANES))
+
+    def _grow(self, capacities: Capacities) -> None:
+        self.state.grow_neighbor_list(capacities, self._compile)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces at the present positions.
