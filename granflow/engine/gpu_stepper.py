@@ -82,7 +82,7 @@ class GpuStepper(Stepper):
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         for index in range(min(steps, GPU_BATCH)):
-            self._launch_step(1, self._pose + index, self.state.clock.time_step)
+            self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
         return self._steps_done
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:

@@ -17,8 +17,9 @@ from granflow.engine.neighbor.bounds import KEPT_REACH
 from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
 from granflow.engine.neighbor.rebuild import RebuildKernel
+from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.ranks import Arrays
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.parallel.balance import LoadBalance
 from granflow.parallel.communicator import Communicator

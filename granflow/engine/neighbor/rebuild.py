@@ -1,6 +1,7 @@
 """Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -43,6 +44,25 @@ class RebuildKernel:
     def compile(self) -> None:
         """Compile the kernel by launching it on an empty range."""
         self.launch(1, self.fill, 0, 0.0, 0.0, 0.0, 0)
+
+
+class Rebuild(Protocol):
+    """Rebuild of the neighbor lists."""
+
+    def compile(self) -> None:
+        """Compile the kernels, unless the state has them."""
+
+    def run(self, pose: int, workers: int) -> None:
+        """Rebuild the lists at an index of the wall poses, with a number of workers."""
+
+    def put(self, particles: HostParticles) -> None:
+        """Put particles on an empty device; the next rebuild lists them."""
+
+    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
+        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
+
+    def ids(self) -> np.ndarray:
+        """Ids of all particles that lists can contain, by index."""
 
 
 class NeighborListRebuild:
