@@ -95,8 +95,8 @@ MUTATIONS = (
     Mutation(
         "one warning per material pair",
         "granflow/plan/pair_cases.py",
-        "occurs = name != other_name or group.count > 1",
-        "occurs = True",
+        "if group is not other or group.count > 1 else None",
+        "if True else None",
         (f"{STEP}test_contacts_that_cannot_occur_cause_no_warning",),
     ),
     # Motions of walls

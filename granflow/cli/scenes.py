@@ -113,9 +113,12 @@ def check(options: argparse.Namespace) -> int:
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
     from granflow.plan.run_time import refuse_run_time
     from granflow.runs.initial_from_run import particles_from_run
+    from granflow.runs.ranks import refuse_on_ranks
 
     plan = plan_for(scene)
-    if not options.mpi:  # a rank has a part of the particles only
+    if options.mpi:
+        refuse_on_ranks()
+    else:  # a rank has a part of the particles only
         refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
     warn([*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])])
@@ -125,7 +128,7 @@ def check(options: argparse.Namespace) -> int:
     if not fits(plan):
         say(f"{options.scene}: no problems found, but the packing of the particles was not checked.")
         return 0
-    warn(particle_warnings(scene, plan.walls, initial_particles(scene, particles_from_run(scene))))
+    warn(particle_warnings(scene, plan, initial_particles(scene, particles_from_run(scene))))
     inserters(scene)
     say(f"{options.scene}: no problems found.")
     return 0

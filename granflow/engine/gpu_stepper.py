@@ -4,8 +4,11 @@ The kernels compare numbers of launches, see `gpu_step`, so that the host resets
 """
 
 from granflow.engine.device_flags import DeviceFlags, read_flags
+from granflow.engine.device_memory import free_device_memory
 from granflow.engine.limits import NOT_HALTED
 from granflow.engine.stepper import SAMPLE_EVERY, Stepper
+from granflow.plan.memory_check import refuse_growth
+from granflow.plan.memory_estimate import estimate_memory
 
 GPU_BATCH = 16
 """Number of steps between two reads of the flags."""
@@ -53,6 +56,14 @@ class GpuStepper(Stepper):
         super().rebuild_neighbor_lists(step, pose)
         self._read = None
 
+    def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
+        """As `Stepper.grow_neighbor_lists`. Raises SceneError if the longer lists do not fit into the memory."""
+        plan, state = self.state.plan, self.state
+        free, present = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, state.capacities)
+        available = None if free is None else free + present.total
+        refuse_growth(plan, state.capacities.grown(needed, 0), available, state.backend.largest_buffer)
+        super().grow_neighbor_lists(needed, longest)
+
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`."""
         if self.state.control.force_clock is not None:
@@ -64,7 +75,7 @@ class GpuStepper(Stepper):
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         for index in range(min(steps, GPU_BATCH)):
-            self._launch_step(1, self._pose + index, self.state.clock.time_step)
+            self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
         return self._steps_done
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:

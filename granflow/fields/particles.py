@@ -114,6 +114,7 @@ _PARTICLE_FIELDS = {
             file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
         ),
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
         FieldSpec("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", in_snapshot=False),
     )

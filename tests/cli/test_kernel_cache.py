@@ -79,7 +79,9 @@ def test_cache_is_listed_and_cleared_without_other_files(tmp_path):
     (tmp_path / "one.tic").write_bytes(b"x" * 600_000)
     (tmp_path / "ticache.tcb").write_bytes(b"x" * 600_000)
     (tmp_path / "notes.txt").write_text("other")
-    assert f"{tmp_path}: 1 compiled kernels, 1.2 MB cached" in granflow(tmp_path, "cache")[0]
-    assert "1.2 MB deleted" in granflow(tmp_path, "cache", "--clear")[0]
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    (tmp_path / "kernel_compilation_manager").mkdir()
+    (tmp_path / "kernel_compilation_manager" / "one.qdc").write_bytes(b"x" * 600_000)
+    assert f"{tmp_path}: 2 compiled kernels, 1.8 MB cached" in granflow(tmp_path, "cache")[0]
+    assert "1.8 MB deleted" in granflow(tmp_path, "cache", "--clear")[0]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["notes.txt"]
     assert "0 compiled kernels" in granflow(tmp_path, "cache")[0]

@@ -12,7 +12,7 @@ from subprocess_runner import in_subprocess
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PHASES, STUDIED_LAWS, VELOCITIES
-from granflow.studies.accuracy.exact import EXACT, end_overlap_ratio
+from granflow.studies.accuracy.exact import EXACT
 from granflow.studies.accuracy.orders import fitted_order
 from granflow.studies.accuracy.points import StudyLine, StudyPoint, measured_line
 from granflow.studies.accuracy.recommend import recommendation, requirement_of, table_heads, table_rows
@@ -94,9 +94,9 @@ def test_zhou_and_hertz_are_equal_without_dissipation():
 
 def test_residual_overlap_ratio_at_the_end_of_a_contact():
     y = brentq(lambda y: y - 0.8 * 0.25 - 0.2 * 0.125 * y**2.5, 0.0, 1.0)  # Eq. 8 at e = 1/2
-    assert end_overlap_ratio("zhou", 0.5) == pytest.approx(1.0 - y)
-    assert end_overlap_ratio("hertz", 1.0) == 0.0
-    assert end_overlap_ratio("linear", 0.5) is None
+    assert EXACT["zhou"](0.5, K, MASS, SPEED).end_ratio == pytest.approx(1.0 - y)
+    assert EXACT["hertz"](1.0, K, MASS, SPEED).end_ratio == 0.0
+    assert EXACT["linear"](0.5, K, MASS, SPEED).end_ratio is None
 
 
 # ---------------------------------------------------------------- collisions

@@ -33,7 +33,7 @@ def build_lay_grids(state: State) -> Any:
     The cells are at least as wide as the largest diameter of the class plus two of the largest reaches and the range of
     the forces. Aborts if an expanding domain has become too large for the precision.
 
-    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phase`)
+    Reads:   radius of the size classes; low, high, reach of the cell sort (see `bounds_phases`)
     Writes:  grid_low, cell_side, cells, cell_count, first_cell, reach_largest, abort
     """
     sorting, by_class = state.cell_sort, state.cell_sort.class_order is not None

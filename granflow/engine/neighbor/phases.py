@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
+from granflow.engine.control import CACHE_LINE
+from granflow.engine.state import CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK

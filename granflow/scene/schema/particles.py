@@ -33,6 +33,13 @@ AngularVelocityOrMany = Annotated[
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
+RadiusOrMany = Annotated[
+    Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
+    choose_by(lambda value: "<list>" if isinstance(value, list | tuple) else "<one>", "one radius or a list of radii"),
+]
+"""One radius [m] for all particles, or one for each."""
+
+
 class ThermalMotion(Model):
     """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of the scene.
 
@@ -79,6 +86,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     diameter: Sizes = Field(
         None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
     )
+    radius: RadiusOrMany | None = Field(
+        None, description="radius [m], instead of diameter; with positions, also a list; with file, not allowed"
+    )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
     angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
     thermal: ThermalMotion | None = Field(
@@ -96,13 +106,15 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     @property
     def sizes(self) -> SizeSpec:
-        """Diameters [m] given in the scene: one, one per particle, or a distribution.
+        """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
 
         Raises ValueError if a file defines them.
         """
-        if self.diameter is None:
+        if self.diameter is not None:
+            return self.diameter
+        if self.radius is None:
             raise ValueError("A file defines the diameters.")
-        return self.diameter
+        return tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
 
     @model_validator(mode="before")
     @classmethod
@@ -118,10 +130,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
         yield from self._amount_faults()
         yield from self._list_faults()
-        if self.diameter is None and self.insert.kind != "file":
-            yield missing(("diameter",), "diameter [m], or a size distribution")
-        if self.diameter is not None and self.insert.kind == "file":
-            yield Fault(("diameter",), "the file defines the sizes; remove diameter")
+        yield from self._size_faults()
         if self.thermal is not None:
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
@@ -129,6 +138,16 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
             if np.any(getattr(self, key)):
                 yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
+
+    def _size_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of diameter, radius and file defines the sizes."""
+        given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
+        if not given and self.insert.kind != "file":
+            yield missing(("diameter",), "diameter [m], or a size distribution")
+        elif given and self.insert.kind == "file":
+            yield Fault((given[0],), f"the file defines the sizes; remove {given[0]}")
+        elif len(given) == 2:
+            yield redundant("radius", "diameter")
 
     def _amount_faults(self) -> Iterator[Fault]:
         """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
@@ -174,8 +193,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
         """Yield the key path and the length of each value that is given as a list, one entry per particle."""
-        if isinstance(self.diameter, tuple):
-            yield ("diameter",), len(self.diameter)
+        for key in ("diameter", "radius"):
+            if isinstance(getattr(self, key), tuple):
+                yield (key,), len(getattr(self, key))
         for key in ("velocity", "angular_velocity"):
             value = getattr(self, key)
             if isinstance(value[0], tuple):
