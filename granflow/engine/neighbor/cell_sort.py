@@ -170,10 +170,10 @@ def _build_particle_parts(
     def place(part, rebuild):
         parts = part_count(rebuild)
         begin, end = part_range(parts - 1 - part, parts, count_of(rebuild))
-        index, i = 0, end - 1
-        while i >= begin and is_count(index):
-            index = ti.atomic_sub(start[cells[i]], 1) - 1
-            order[index] = i
+        cell, i = 0, end - 1
+        while i >= begin and is_count(cell):
+            cell = cells[i]
+            order[ti.atomic_sub(start[cell], 1) - 1] = i
             i -= 1
 
     return count_particles, place
