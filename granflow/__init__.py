@@ -3,9 +3,12 @@
 Names are imported at first use: reading a scene does not start Taichi.
 """
 
+import ast
+import inspect
 import os
+import sys
+from functools import cache
 from importlib import import_module
-from inspect import modulesbyfile
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -85,7 +88,7 @@ os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 os.environ.setdefault("HOME", os.path.expanduser("~"))
 # For each decorated function of a module, Taichi asks `inspect` for the module that executes the import, which is not
 # found: without this entry, `inspect` searches all modules every time, 0.3 s per start.
-modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
+inspect.modulesbyfile.setdefault("<frozen importlib._bootstrap>", "_frozen_importlib")
 
 __all__ = [
     "Box",
@@ -178,109 +181,26 @@ __all__ = [
     "sweep",
 ]
 
-_LOCATIONS = {
-    "Box": "granflow.scene.schema.shapes:Box",
-    "BoxOutlet": "granflow.scene.schema.outlets:BoxOutlet",
-    "BoxRegion": "granflow.scene.schema.insertion:BoxRegion",
-    "BoxWall": "granflow.scene.schema.walls:BoxWall",
-    "CenterOfMassMetric": "granflow.scene.schema.analysis:CenterOfMassMetric",
-    "Checkpoints": "granflow.scene.schema.output:Checkpoints",
-    "ClassSizes": "granflow.scene.schema.sizes:ClassSizes",
-    "Clump": "granflow.scene.schema.clumps:Clump",
-    "ClumpSphere": "granflow.scene.schema.clumps:ClumpSphere",
-    "Cone": "granflow.scene.schema.walls:Cone",
-    "Contact": "granflow.scene.schema.contact:Contact",
-    "ContentMetric": "granflow.scene.schema.analysis:ContentMetric",
-    "CoordinationMetric": "granflow.scene.schema.analysis:CoordinationMetric",
-    "Cylinder": "granflow.scene.schema.walls:Cylinder",
-    "CylinderRegion": "granflow.scene.schema.insertion:CylinderRegion",
-    "Damping": "granflow.scene.schema.damping:Damping",
-    "Disc": "granflow.scene.schema.walls:Disc",
-    "DiscFace": "granflow.scene.schema.insertion:DiscFace",
-    "DiscOutlet": "granflow.scene.schema.outlets:DiscOutlet",
-    "Domain": "granflow.scene.schema.domain:Domain",
-    "Expectation": "granflow.scene.schema.expect:Expectation",
-    "FabricMetric": "granflow.scene.schema.analysis:FabricMetric",
-    "FieldGrid": "granflow.scene.schema.analysis:FieldGrid",
-    "FileInsertion": "granflow.scene.schema.insertion:FileInsertion",
-    "FlowMeter": "granflow.scene.schema.output:FlowMeter",
-    "FreeWall": "granflow.scene.schema.motions:FreeWall",
-    "FunctionError": "granflow.errors:FunctionError",
-    "GranflowError": "granflow.errors:GranflowError",
-    "Group": "granflow.scene.schema.particles:Group",
-    "HalfSpaceOutlet": "granflow.scene.schema.outlets:HalfSpaceOutlet",
-    "InletInsertion": "granflow.scene.schema.insertion:InletInsertion",
-    "LaceyMetric": "granflow.scene.schema.analysis:LaceyMetric",
-    "LatticeInsertion": "granflow.scene.schema.insertion:LatticeInsertion",
-    "LeesEdwards": "granflow.scene.schema.domain:LeesEdwards",
-    "LogNormalSizes": "granflow.scene.schema.sizes:LogNormalSizes",
-    "Material": "granflow.scene.schema.materials:Material",
-    "MaterialPair": "granflow.scene.schema.materials:MaterialPair",
-    "MeshWall": "granflow.scene.schema.walls:MeshWall",
-    "NormalSizes": "granflow.scene.schema.sizes:NormalSizes",
-    "Numerics": "granflow.scene.schema.run:Numerics",
-    "Output": "granflow.scene.schema.output:Output",
-    "OutputError": "granflow.errors:OutputError",
-    "PackInsertion": "granflow.scene.schema.insertion:PackInsertion",
-    "ParticleData": "granflow.particles.particle_data:ParticleData",
-    "ParticleForce": "granflow.live.forces:ParticleForce",
-    "Plan": "granflow.plan.plan:Plan",
-    "Plane": "granflow.scene.schema.walls:Plane",
-    "PositionsInsertion": "granflow.scene.schema.insertion:PositionsInsertion",
-    "PythonInsertion": "granflow.scene.schema.insertion:PythonInsertion",
-    "RainInsertion": "granflow.scene.schema.insertion:RainInsertion",
-    "Rectangle": "granflow.scene.schema.walls:Rectangle",
-    "RectangleFace": "granflow.scene.schema.insertion:RectangleFace",
-    "ReposeMetric": "granflow.scene.schema.analysis:ReposeMetric",
-    "RestitutionFit": "granflow.scene.schema.materials:RestitutionFit",
-    "Result": "granflow.runs.result:Result",
-    "Rotation": "granflow.scene.schema.motions:Rotation",
-    "RotationStep": "granflow.scene.schema.walls:RotationStep",
-    "Run": "granflow.runs.read_run:Run",
-    "RunError": "granflow.errors:RunError",
-    "RunSettings": "granflow.scene.schema.run:RunSettings",
-    "Scene": "granflow.load:Scene",
-    "SceneError": "granflow.errors:SceneError",
-    "SegregationMetric": "granflow.scene.schema.analysis:SegregationMetric",
-    "Servo": "granflow.scene.schema.motions:Servo",
-    "Simulation": "granflow.simulation:Simulation",
-    "SizeClass": "granflow.scene.schema.sizes:SizeClass",
-    "SlidingMetric": "granflow.scene.schema.analysis:SlidingMetric",
-    "Snapshot": "granflow.snapshot:Snapshot",
-    "Stage": "granflow.scene.schema.stages:Stage",
-    "StageCondition": "granflow.scene.schema.stages:StageCondition",
-    "StopRun": "granflow.errors:StopRun",
-    "SurfaceVelocity": "granflow.scene.schema.motions:SurfaceVelocity",
-    "TableMotion": "granflow.scene.schema.motions:TableMotion",
-    "Translation": "granflow.scene.schema.motions:Translation",
-    "UniformSizes": "granflow.scene.schema.sizes:UniformSizes",
-    "Vibration": "granflow.scene.schema.motions:Vibration",
-    "__version__": "importlib.metadata:version",
-    "analyze_snapshots": "granflow.observers.analysis:analyze_snapshots",
-    "calibrate": "granflow.studies.calibration.calibrate:calibrate",
-    "estimate_memory": "granflow.plan.memory_estimate:estimate_memory",
-    "explain": "granflow.plan.explain:explain",
-    "load_scene": "granflow.load:load",
-    "on_interval": "granflow.observers.interval:on_interval",
-    "plan_for": "granflow.plan.build:plan_for",
-    "read_run": "granflow.runs.read_run:read_run",
-    "register_contact_model": "granflow.scene.registration:register_contact_model",
-    "start": "granflow.engine.state_cache:start",
-    "steady_flow": "granflow.observers.flow_meters:steady_flow",
-    "sweep": "granflow.studies.sweep.sweep:sweep",
-}
-"""Module and attribute of each public name."""
+
+@cache
+def _locations() -> dict[str, tuple[str, str]]:
+    """Module and attribute of each public name: the imports of this module that only type checkers execute."""
+    source = inspect.getsource(sys.modules[__name__])
+    (block,) = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+    imports = (node for node in block.body if isinstance(node, ast.ImportFrom))
+    return {each.asname or each.name: (str(node.module), each.name) for node in imports for each in node.names}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use. Raises AttributeError for other names."""
-    if name not in _LOCATIONS:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("granflow")
+    if name not in __all__:
         raise AttributeError(f"module 'granflow' has no attribute '{name}'")
-    module, _, attribute = _LOCATIONS[name].partition(":")
-    value = getattr(import_module(module), attribute)
-    return value("granflow") if name == "__version__" else value
+    module, attribute = _locations()[name]
+    return getattr(import_module(module), attribute)
 
 
 def __dir__() -> list[str]:
     """The public names."""
-    return sorted(_LOCATIONS)
+    return sorted(["__version__", *__all__])

@@ -104,6 +104,7 @@ def reason_of(error: Exception, function: Callable[..., Any]) -> str:
     if rest.startswith("Traceback"):
         rest = rest.splitlines()[-1]
     rest = re.sub(r"^TypeError when calling `\w+`: ", "", rest)
+    rest = re.sub(r"Cannot find source code for Object: .*", "could not get source code", rest)  # of Quadrants
     words = " ".join(re.sub(r"'Struct\d+' object", "the struct", rest).split()).rstrip(". ")
     return f"{where}{words or type(error).__name__}{_remedy(error, words)}"
 

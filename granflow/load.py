@@ -157,7 +157,7 @@ class Scene(SceneInput):
     def _summary(self) -> list[tuple[str, str]]:
         """Rows of the displays of a scene: label and text."""
         count = sum(group.count for group in self.particles.values())
-        longest = sum(stage.duration or stage.max_duration or 0.0 for stage in self.schedule)
+        longest = self.longest_duration
         stages = f" in {len(self.stages)} stages" if self.stages else ""
         return [
             ("particles", f"{numbered(count, 'particle')} in {numbered(len(self.particles), 'group')}"),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from granflow.engine.backend import Backend
+from granflow.engine.device_memory import free_device_memory
 from granflow.engine.engine import Engine
 from granflow.io.checkpoint import Checkpoint
 from granflow.live.forces import ParticleForce, plan_with_forces
@@ -90,4 +91,4 @@ def _refuse_size(plan: Plan, backend: Backend) -> None:
     if backend.on_cpu:
         refuse_without_memory(plan)
     else:
-        refuse_without_device_memory(plan, backend.arch)
+        refuse_without_device_memory(plan, free_device_memory(backend.arch), backend.largest_buffer)

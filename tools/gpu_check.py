@@ -221,12 +221,10 @@ def bench(
 
 def exceeds_memory(run: Run, size: int, precision: str) -> str | None:
     """Message if the bed exceeds the free memory of the device, else None."""
-    free = run.result["device"]["memory_free"]
-    from granflow.plan.memory_check import VULKAN_BUFFER
-
-    needed = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
-    if run.options.arch == "vulkan" and needed > VULKAN_BUFFER:
-        return f"fields of {needed / 1e9:.1f} GB exceed the Vulkan buffer of {VULKAN_BUFFER / 1e9:.1f} GB"
+    free, largest = run.result["device"]["memory_free"], run.result["device"]["largest_buffer"]
+    needed, longest = speed.bytes_needed(run.bed_file, size, precision, run.options.arch != "cpu")
+    if largest is not None and longest > largest:
+        return f"a field of {longest / 1e9:.1f} GB exceeds the largest buffer of {largest / 1e9:.1f} GB"
     if free is None or needed <= speed.MEMORY_SHARE * free:
         return None
     return f"fields of {needed / 1e9:.1f} GB exceed {speed.MEMORY_SHARE:.0%} of the free {free / 1e9:.1f} GB"

@@ -95,8 +95,8 @@ MUTATIONS = (
     Mutation(
         "one warning per material pair",
         "granflow/plan/pair_cases.py",
-        "occurs = name != other_name or group.count > 1",
-        "occurs = True",
+        "if group is not other or group.count > 1 else None",
+        "if True else None",
         (f"{STEP}test_contacts_that_cannot_occur_cause_no_warning",),
     ),
     # Motions of walls
@@ -213,7 +213,7 @@ MUTATIONS = (
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/engine/neighbor/cell_sort.py",
+        "granflow/engine/neighbor/bounds.py",
         "reach = ti.min(0.5 * rebuild.skin",
         "reach = ti.min(1.0 * rebuild.skin",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),

@@ -23,6 +23,7 @@ from ruamel.yaml import YAML
 from granflow import read_run
 from granflow.cli.examples import scene_paths
 from granflow.fields import unit_of
+from granflow.io.log_reader import sessions
 from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,16 +63,28 @@ def expected(expectation: Any) -> str:
 
 def expectations() -> Iterator[str]:
     """One row for each expectation of a shipped scene, with the result of a run."""
-    stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     yield row(("scene", "quantity", "unit", "expected", "run", "recorded"))
     yield row(["---"] * 6)
     for name in names():
-        run = stored.get(name, {})
+        run = stored_results().get(name, {})
         recorded = f"{run['date']}, {run['commit']}" if run else "not recorded"
-        for each in load(SCENES / f"{name}.yaml").expect:
-            number = run.get("numbers", {}).get(each.quantity)
-            value = "" if number is None else f"{number:.5g}"
-            yield row((f"`{name}`", f"`{each.quantity}`", unit_of(each.quantity), expected(each), value, recorded))
+        for quantity, unit, expected_value, value in expected_and_run(name):
+            yield row((f"`{name}`", f"`{quantity}`", unit, expected_value, value, recorded))
+
+
+def expected_and_run(name: str) -> Iterator[tuple[str, str, str, str]]:
+    """Quantity, unit, expected value and recorded result of each expectation of a shipped scene."""
+    numbers = stored_results().get(name, {}).get("numbers", {})
+    for each in load(SCENES / f"{name}.yaml").expect:
+        number = numbers.get(each.quantity)
+        value = "" if number is None else f"{number:.5g}"
+        yield each.quantity, unit_of(each.quantity), expected(each), value
+
+
+def stored_results() -> dict[str, Any]:
+    """Recorded results by name of the scene: date, commit, numbers, threads, wall clock [s]."""
+    results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return results
 
 
 TABLES = {"comparisons": comparisons, "expectations": expectations}
@@ -95,12 +108,14 @@ def record(folder: Path) -> None:
         raise ValueError(f"{folder} has no result.json: give the directory of a finished run.")
     numbers = run.result.numbers
     name, scene = shipped(run.scene)
-    stored = json.loads(RESULTS.read_text(encoding="utf-8"))
+    stored = stored_results()
     quantities = [each.quantity for each in scene.expect]
     stored[name] = {
         "date": datetime.date.fromtimestamp((folder / "result.json").stat().st_mtime).isoformat(),
         "commit": git("rev-parse", "--short", "HEAD"),
         "numbers": {quantity: numbers[quantity] for quantity in quantities if quantity in numbers},
+        "threads": int(sessions(run.log)[-1].threads),
+        "wall_clock": round(numbers["wall_clock"], 1),
     }
     RESULTS.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 

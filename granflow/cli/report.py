@@ -15,7 +15,7 @@ def report(options: argparse.Namespace) -> int:
     """
     from granflow.studies.report.report import write_report
 
-    path = write_report(options.directory, options.out, not options.no_pictures)
+    path = write_report(options.directory, options.out, not options.no_pictures, say)
     say(f"Open {path} in a browser.")
     return 0
 

@@ -14,7 +14,7 @@ from granflow.engine.ranks import ALONE, Gathering
 
 @dataclass
 class Accounting:
-    """Counts and energies since the start, and `material` and `group` of every particle by its id.
+    """Counts and energies since the start, and BY_ID: material, group and insertion time of every particle by its id.
 
     inserted_count:          number of inserted particles
     deleted_count:           number of deleted particles
@@ -23,6 +23,7 @@ class Accounting:
     removed_energy:          mechanical energy [J] of deleted particles
     removed_kinetic_energy:  translational and rotational part of it [J]
     material, group:         lists of integer arrays (k,), numbers of the scene, concatenated at first use
+    insertion_time:          likewise, float64 [s]
     """
 
     inserted_count: int = 0
@@ -39,13 +40,15 @@ class Accounting:
     """Particles queued for insertion; None without insertion."""
     material: list[np.ndarray] = field(default_factory=list)
     group: list[np.ndarray] = field(default_factory=list)
+    insertion_time: list[np.ndarray] = field(default_factory=list)
 
-    def insert(self, material: np.ndarray, group: np.ndarray, energy: float) -> None:
-        """Record inserted particles: materials and groups (k,) of the scene, and their mechanical energy [J]."""
+    def insert(self, material: np.ndarray, group: np.ndarray, time: float, energy: float) -> None:
+        """Record particles inserted at `time` [s]: materials and groups (k,) of the scene, mechanical energy [J]."""
         self.inserted_count += len(group)
         self.inserted_energy += energy
         self.material.append(material)
         self.group.append(group)
+        self.insertion_time.append(np.full(len(group), time))
 
     def delete(self, arrays: Mapping[str, np.ndarray], outlet_index: np.ndarray, gravity: np.ndarray) -> None:
         """Record deleted particles.
@@ -79,24 +82,28 @@ class Accounting:
         self.group[:] = [groups]
 
     def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
-        """`material` or `group` numbers (n,) of the scene for particle ids (n,)."""
+        """One of BY_ID (n,) for particle ids (n,)."""
         parts = getattr(self, name)
         if len(parts) > 1:
             parts[:] = [np.concatenate(parts)]
-        return parts[0][ids] if parts else np.zeros(len(ids), np.int32)
+        return parts[0][ids] if parts else np.zeros(len(ids), BY_ID[name])
 
     def state_dict(self) -> dict[str, Any]:
-        """Numbers, sums of the outlets, and `material` and `group` (inserted_count,), for checkpoints."""
+        """Numbers, sums of the outlets, and BY_ID (inserted_count,), for checkpoints."""
         ids = np.arange(self.inserted_count)
-        by_id = {name: self.by_id(name, ids) for name in ("material", "group")}
+        by_id = {name: self.by_id(name, ids) for name in BY_ID}
         return {name: getattr(self, name) for name in (*SAVED_NUMBERS, "outlets")} | by_id
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore a state of `state_dict`."""
         for name in (*SAVED_NUMBERS, "outlets"):
             setattr(self, name, saved[name])
-        self.material, self.group = [saved["material"]], [saved["group"]]
+        for name in BY_ID:
+            setattr(self, name, [saved[name]])
 
+
+BY_ID = {"material": np.int32, "group": np.int32, "insertion_time": np.float64}
+"""Types of the arrays of Accounting that have an entry for every particle id."""
 
 SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
 """Type of each count, mass and energy of Accounting by name."""

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from granflow.engine import foreign_fields
 from granflow.engine.compilation import guarded, in_context
 from granflow.engine.kernel_cache import TEMPORARY, cache_folder, usable_folder
-from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, vulkan_devices
+from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, used_device, vulkan_devices
 from granflow.errors import GranflowError
 from granflow.io.machine import worker_count
 from granflow.kernel_language import KERNELS, VARIABLE, ti
@@ -39,6 +39,7 @@ class Backend:
     real:           Taichi type of forces and velocities
     position_real:  Taichi type of positions
     worker_count:   CPU threads that take part in a loop
+    largest_buffer: bytes that fields of a GPU may have together in one tree; None: unlimited
     """
 
     arch: str
@@ -47,6 +48,7 @@ class Backend:
     real: Any
     position_real: Any
     worker_count: int
+    largest_buffer: int | None = None
 
     @property
     def types(self) -> dict[str, Any]:
@@ -82,8 +84,11 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         raise GranflowError(
             f"This machine has no {arch} device that Taichi can use. Leave out --arch to run on the CPU."
         )
+    largest_buffer = None
     if name == "vulkan":
-        refuse_unreliable_vulkan(vulkan_devices())
+        refuse_unreliable_vulkan(devices := vulkan_devices())
+        device = used_device(devices)
+        largest_buffer = None if device is None else device.largest_buffer
     real = ti.f64 if precision == "f64" else ti.f32
     position_real = ti.f32 if precision == "f32" else ti.f64
     workers, warning = worker_count(threads)
@@ -100,7 +105,7 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         offline_cache_file_path=str(_folder(cache_folder())),
     )
     _check_started(name)
-    _started = Backend(name, precision, threads, real, position_real, workers)
+    _started = Backend(name, precision, threads, real, position_real, workers, largest_buffer)
     return _started
 
 
@@ -206,7 +211,7 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
             "Taichi 1.7 overwrites fields on Vulkan and ends after some 12000 launches. Run pip install "
             f"'granflow[quadrants]' and set {VARIABLE}=quadrants, or leave out --arch to run on the CPU."
         )
-    used = min(devices, key=lambda device: device.on_cpu, default=None)
+    used = used_device(devices)
     if used is not None and used.is_wrong:
         raise GranflowError(
             f"The Vulkan driver {used.driver} returns wrong results; llvmpipe is reliable from Mesa "
@@ -214,8 +219,8 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
         )
     if used is not None and not used.has_64_bit:
         raise GranflowError(
-            f"{used.name} has no 64-bit numbers in Vulkan, and sums are in float64. Use another device, or leave out "
-            "--arch to run on the CPU."
+            f"{used.name} has no 64-bit numbers in Vulkan, but sums are in float64 and 64-bit integers in every "
+            "precision, f32 too. Use another device, or leave out --arch to run on the CPU."
         )
 
 

@@ -76,7 +76,7 @@ class Engine(Readings):
         arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
         energy = sum(mechanical_energy(arrays, self._gravity))
         rows = sphere_rows(self.plan, new)
-        self.accounting.insert(new.material[rows], new.group[rows], energy)
+        self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
         if self._started:
@@ -137,7 +137,7 @@ class Engine(Readings):
         before, energy = self.energy_before_change, self.stored_energy
         if before is None and self.plan.features.energy_budget and self._walls_changed:
             before, energy = self._contact_energy(), self._contact_energy
-        self.stepper.discard_poses()
+        self.stepper.poses.discard()
         self.stepper.refresh(self.step_count, velocities_lag=self._started)
         if before is not None:
             self.accounting.inserted_energy += energy() - before
@@ -205,15 +205,15 @@ class Engine(Readings):
         self.steps_since_update = 0
         if adaptive_time_step is None or self.aborted:
             return
-        self.stepper.discard_poses()
-        self.stepper.place_walls(self.step_count)
+        self.stepper.poses.discard()
+        self.stepper.poses.index_at(self.step_count)
         step = adaptive_time_step.step_for(
             self.state.built(MaxImpactVelocity).measure(), float(np.linalg.norm(self._gravity)) * self.time_step
         )
         if step != self.time_step:
             self._kick(0.5 * (self.time_step - step))
             self.state.clock.change(step)
-            self.stepper.discard_poses()
+            self.stepper.poses.discard()
 
     def saved_particles(self) -> HostParticles:
         """The particles of this process with their contact histories, for a checkpoint."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from itertools import groupby
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -14,26 +15,29 @@ from granflow.plan.device_arrays import DeviceArray
 
 
 class FieldBlock:
-    """Fields that are allocated and freed together: one block for the state; each costs a look-up in kernels."""
+    """Fields that are allocated and freed together, on a CPU in one tree; each tree costs a look-up in kernels.
+
+    On a GPU a tree is a buffer, whose size is limited: fields that do not fit into the last tree are in a further one.
+    """
 
     def __init__(self, backend: Backend) -> None:
-        self._builder = new_builder()
-        self._on_cpu = backend.on_cpu
-        self._tree: Any = None
+        self._builders, self._size = [new_builder()], 0
+        self._on_cpu, self._largest_buffer = backend.on_cpu, backend.largest_buffer
+        self._trees: list[Any] = []
         self._host: HostBlock | None = None
         self.fields: list[Any] = []
 
     def scalar(self, dtype: Any, *shape: int) -> Any:
         """A scalar field of one or two dimensions."""
-        return self._placed(shape, ti.field(dtype))[0]
+        return self._placed(shape, _size(dtype), ti.field(dtype))[0]
 
     def vector(self, dtype: Any, *shape: int, count: int = 3) -> Any:
         """A field of vectors of `count` adjacent components."""
-        return self._placed(shape, ti.Vector.field(count, dtype))[0]
+        return self._placed(shape, count * _size(dtype), ti.Vector.field(count, dtype))[0]
 
     def matrix(self, dtype: Any, *shape: int) -> Any:
         """A field of 3 x 3 matrices."""
-        return self._placed(shape, ti.Matrix.field(3, 3, dtype))[0]
+        return self._placed(shape, 9 * _size(dtype), ti.Matrix.field(3, 3, dtype))[0]
 
     def arrays(self, arrays: Iterable[DeviceArray], backend: Backend) -> dict[str, Any]:
         """Fields by name; None for an array that the plan does not need."""
@@ -41,13 +45,14 @@ class FieldBlock:
         for _, block in groupby(arrays, key=lambda array: array.block or array.name):
             together = list(block)
             fields = {array.name: _field(array, backend) for array in together}
-            self._placed(together[0].shape, *(field for field in fields.values() if field is not None))
+            size = sum((each.width or 1) * _size(backend.types[each.dtype]) for each in together if each.wanted)
+            self._placed(together[0].shape, size, *(field for field in fields.values() if field is not None))
             found |= fields
         return found
 
     def parts(self, count: int) -> Any:
         """`count` equal parts; each holds the complete part of several columns."""
-        return self._builder.dense(ti.i, count)
+        return self._builders[-1].dense(ti.i, count)
 
     def column(self, parts: Any, dtype: Any, length: int) -> Any:
         """A field [part, entry] with adjacent entries of a part; its values are lost if the block is reallocated."""
@@ -57,7 +62,7 @@ class FieldBlock:
 
     def finish(self) -> None:
         """Allocate the fields; no field can be added afterwards."""
-        self._tree = self._builder.finalize()
+        self._trees = [builder.finalize() for builder in self._builders]
         self._host = host_block(self.fields, self._on_cpu)
 
     def clear(self) -> bool:
@@ -71,16 +76,23 @@ class FieldBlock:
         if self._host is not None:
             self._host.release()
             self._host = None
-        if self._tree is not None:
-            self._tree.destroy()
-            self._tree = None
+        while self._trees:
+            self._trees.pop().destroy()
 
-    def _placed(self, shape: tuple[int, ...], *fields: Any) -> tuple[Any, ...]:
-        """Place fields of this shape, interleaved entry by entry."""
+    def _placed(self, shape: tuple[int, ...], size: int, *fields: Any) -> tuple[Any, ...]:
+        """Place fields of this shape, interleaved entry by entry, with `size` bytes per entry."""
         if fields:
-            self._builder.dense(ti.i if len(shape) == 1 else ti.ij, shape).place(*fields)
+            self._extend(prod(shape) * size)
+            self._builders[-1].dense(ti.i if len(shape) == 1 else ti.ij, shape).place(*fields)
             self.fields += fields
         return fields
+
+    def _extend(self, size: int) -> None:
+        """Begin a further tree if fields of `size` bytes do not fit into the last one."""
+        if self._size and self._largest_buffer is not None and self._size + size > self._largest_buffer:
+            self._builders.append(new_builder())
+            self._size = 0
+        self._size += size
 
 
 def _field(array: DeviceArray, backend: Backend) -> Any:
@@ -89,6 +101,11 @@ def _field(array: DeviceArray, backend: Backend) -> Any:
         return None
     dtype = backend.types[array.dtype]
     return ti.field(dtype) if array.width is None else ti.Vector.field(array.width, dtype)
+
+
+def _size(dtype: Any) -> int:
+    """Bytes of a number of a type of the kernel language."""
+    return int(np.dtype(ti.lang.util.to_numpy_type(dtype)).itemsize)
 
 
 def write_padded(field: Any, values: np.ndarray) -> None:

@@ -4,8 +4,12 @@ The kernels compare numbers of launches, see `gpu_step`, so that the host resets
 """
 
 from granflow.engine.device_flags import DeviceFlags, read_flags
+from granflow.engine.device_memory import free_device_memory
 from granflow.engine.limits import NOT_HALTED
 from granflow.engine.stepper import SAMPLE_EVERY, Stepper
+from granflow.plan.capacities import Capacities
+from granflow.plan.memory_check import refuse_growth
+from granflow.plan.memory_estimate import estimate_memory
 
 GPU_BATCH = 16
 """Number of steps between two reads of the flags."""
@@ -53,6 +57,20 @@ class GpuStepper(Stepper):
         super().rebuild_neighbor_lists(step, pose)
         self._read = None
 
+    def _grow(self, capacities: Capacities) -> None:
+        """Reallocate the fields; on the device if the old and the new ones fit, else over the host.
+
+        Raises SceneError if the new ones do not fit.
+        """
+        plan, state = self.state.plan, self.state
+        free, grown = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, capacities).total
+        present = estimate_memory(plan, plan.precision, state.capacities).total
+        refuse_growth(plan, capacities, None if free is None else free + present, state.backend.largest_buffer)
+        if free is None or grown < free:
+            state.grow_on_device(capacities, self._compile)
+        else:
+            super()._grow(capacities)
+
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`."""
         if self.state.control.force_clock is not None:
@@ -64,7 +82,7 @@ class GpuStepper(Stepper):
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         for index in range(min(steps, GPU_BATCH)):
-            self._launch_step(1, self._pose + index, self.state.clock.time_step)
+            self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
         return self._steps_done
 
     def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:

@@ -8,12 +8,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from granflow.kernel_language import KERNELS as LANGUAGE
+
 VARIABLE = "GRANFLOW_CACHE"
 """Environment variable with the path of the folder."""
-KERNELS = "*.tic"
-"""Name pattern of the compiled kernels of Taichi."""
-INDEX, LOCK = "ticache.tcb", "ticache.lock"
-"""Names of the index and of the lock of the kernel cache of Taichi."""
+PATTERNS = {"taichi": "*.tic", "quadrants": "kernel_compilation_manager/*.qdc"}
+"""Pattern of the paths of compiled kernels in the folder, by kernel language."""
+KERNELS = PATTERNS[LANGUAGE]
+"""Pattern of the kernel language in use."""
+INDEXES = {"taichi": "ticache.tcb", "quadrants": "kernel_compilation_manager/qdcache.qdb"}
+LOCKS = {"taichi": "ticache.lock", "quadrants": "kernel_compilation_manager/qdcache.lock"}
+"""Paths of the index and of the lock of the cache in the folder, by kernel language."""
 TEMPORARY = "granflow_kernels_"
 """Prefix of a temporary folder for one process, deleted at its end."""
 STALE_LOCK = 60.0
@@ -58,19 +63,20 @@ def usable_folder() -> Path:
         )  # fmt: skip
         return Path(tempfile.mkdtemp(prefix=TEMPORARY))
     with suppress(OSError):
-        if time.time() - (folder / LOCK).stat().st_mtime > STALE_LOCK:
-            (folder / LOCK).unlink()
+        lock = folder / LOCKS[LANGUAGE]
+        if time.time() - lock.stat().st_mtime > STALE_LOCK:
+            lock.unlink()
     return folder
 
 
 def cache_contents() -> CacheContents:
     """Number of kernels and size of the folder; zeros without a folder."""
     files = _files()
-    return CacheContents(sum(path.match(KERNELS) for path in files), sum(map(_size, files)))
+    return CacheContents(sum(any(map(path.match, PATTERNS.values())) for path in files), sum(map(_size, files)))
 
 
 def clear_cache() -> CacheContents:
-    """Delete the files of Taichi in the folder and no others; returns their number and size."""
+    """Delete the files of both kernel languages in the folder and no others; returns their number and size."""
     removed = cache_contents()
     for path in _files():
         path.unlink(missing_ok=True)
@@ -78,9 +84,11 @@ def clear_cache() -> CacheContents:
 
 
 def _files() -> list[Path]:
-    """Files of Taichi in the cache folder."""
+    """Files of both kernel languages in the cache folder."""
     folder = cache_folder()
-    return [*folder.glob(KERNELS), *(folder / name for name in (INDEX, LOCK) if (folder / name).exists())]
+    kernels = [path for pattern in PATTERNS.values() for path in folder.glob(pattern)]
+    others = [folder / name for name in (*INDEXES.values(), *LOCKS.values())]
+    return [*kernels, *(path for path in others if path.exists())]
 
 
 def _size(path: Path) -> int:

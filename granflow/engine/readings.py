@@ -103,7 +103,7 @@ class Readings:
 
     def _contact_energy(self) -> float:
         """Elastic energy and plastic dissipation [J] of the present contacts."""
-        measured = self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))
+        measured = self.state.built(ContactStatistics).measure(self.stepper.poses.index_at(self.step_count))
         return measured["elastic_energy"] + measured["plastic_dissipation"]
 
     def stored_energy(self) -> float:
@@ -147,7 +147,7 @@ class Readings:
         if quantities <= {"walls"}:
             count = {"particle_count": float(self.particle_count)}
             return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
-        pose = self.stepper.place_walls(self.step_count)
+        pose = self.stepper.poses.index_at(self.step_count)
         measured = self.state.built(ContactStatistics).measure(pose)
         arrays, sums = self._particles_and_sums("particles" in quantities)
         totals = totals_of(self.state, self.accounting, sums, measured)
@@ -168,7 +168,9 @@ class Readings:
 
     def own_particles(self) -> dict[str, np.ndarray]:
         """As `Snapshot.particles`, of this process only; all MPI ranks call this together."""
-        self.state.built(ContactStatistics).measure(self.stepper.place_walls(self.step_count))  # contacts per particle
+        self.state.built(ContactStatistics).measure(
+            self.stepper.poses.index_at(self.step_count)
+        )  # contacts per particle
         return ordered_particles(self._in_box(self._own_synchronized(self._shown)), self.accounting)
 
     @property

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from granflow.engine.accounting import Accounting
+from granflow.engine.accounting import BY_ID, Accounting
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_displacements
 from granflow.geometry.motion import pose
@@ -17,7 +17,7 @@ def ordered_particles(arrays: dict[str, np.ndarray], accounting: Accounting) -> 
     order = np.argsort(arrays["id"], kind="stable")
     found = {name: values[order] for name, values in arrays.items()}
     found["id"] = found["id"].astype(np.int64)
-    for name in ("material", "group"):
+    for name in BY_ID:
         found[name] = accounting.by_id(name, found["id"])
     for name in ("angular_velocity", "torque"):
         found.setdefault(name, np.zeros_like(found["velocity"]))

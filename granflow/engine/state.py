@@ -8,10 +8,11 @@ import numpy as np
 
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
+from granflow.engine.control import Control
 from granflow.engine.field_block import FieldBlock, Fields, write_padded
-from granflow.engine.host_fields import components
-from granflow.engine.limits import NO_PARTICLE, NOT_HALTED
+from granflow.engine.field_kernels import build_clear, build_copy
 from granflow.engine.mesh_fields import fill_mesh
+from granflow.engine.pair_batch import PairBatch
 from granflow.engine.parameters import Parameters
 from granflow.engine.ranks import Gathering, OneProcess
 from granflow.engine.wall_fields import WallDynamicsFields, Walls
@@ -19,17 +20,13 @@ from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH, WORKERS, Capacities, rounded_capacity
-from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays, sum_arrays
-from granflow.plan.external_forces import parameter_count
+from granflow.plan.capacities import Capacities
+from granflow.plan.device_arrays import cell_arrays, mesh_arrays, neighbor_arrays, particle_arrays
 from granflow.plan.plan import Plan
 from granflow.plan.structure import structure_of
 
 CPU_STRIDE = 512
 """Minimum number of loop iterations per CPU thread in Taichi: loops over chunks are longer by this factor."""
-
-CACHE_LINE = 16
-"""Integers per cache line; contended counters occupy separate lines."""
 
 Built = TypeVar("Built")
 
@@ -57,7 +54,8 @@ class CellSort(Fields):
     class_order:  particles by class and cell, from `class_start` of a cell
     first_cell:   first cell of each class
     radius:       largest radius [m] of each class
-    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them
+    low, high, reach:  corners [m] of bounding boxes, and the largest reach [m] of a particle in each of them; with
+                       `subpart_`, of the parts of these parts for the threads of a GPU
     reach_largest:     largest reach [m] of all particles
     cell_count:        cells of each grid, and of all size classes
     present:           number of particles that are not deleted
@@ -97,114 +95,6 @@ class NeighborList(Fields):
         super().__init__(fields)
 
 
-BATCH = 128
-"""Number of contacts at which a batch is complete; no further neighbor list is added."""
-
-LANES = 16
-"""Batches are padded to a multiple of this number, so that the compiled loop has no scalar remainder."""
-
-STAGGER = 24
-"""Offset between columns: columns a multiple of 4096 bytes apart evict each other from the cache."""
-
-
-class PairBatch:
-    """Columns with an entry per contact of the present batch, and a part of each column per CPU thread.
-
-    longest_list:  largest number of candidate pairs of one particle for which a batch suffices
-    sums:          contact force and torque on each particle of the chunk of a worker; None in f64
-
-    The names are those of the variables in `pair_force.py`; `evaluate` overwrites inputs with results.
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, capacities: Capacities, backend: Backend) -> None:
-        features, real = plan.features, backend.real
-        page = 4096 // 8
-        self.capacity = -(-capacities.batch // page) * page + STAGGER
-        self.longest_list = self.capacity - BATCH - LANES
-        worker_parts = block.parts(rounded_capacity(backend.worker_count, WORKERS))
-
-        def columns(number: int, dtype: Any = real) -> list[Any]:
-            return [block.column(worker_parts, dtype, self.capacity) for _ in range(number)]
-
-        self.list_index, self.owner, self.partner = columns(3, ti.i32)
-        self.radius, self.radius_partner, self.mass, self.mass_partner = columns(4)
-        self.branch, self.velocity_rel_half = columns(3), columns(3)
-        self.velocity_rel = columns(3 * features.rate_dependent)
-        self.angular_velocity, self.angular_velocity_partner = (
-            columns(3 * features.rotation),
-            columns(3 * features.rotation),
-        )
-        self.history = {slot: columns(size) for slot, size in plan.history.items()}
-        self.constants = columns(0 if features.one_material else plan.pair_constants.shape[1])
-        self.losses = columns(3 * features.energy_budget)
-        size = 6 if features.rotation else 3
-        workers = rounded_capacity(backend.worker_count, WORKERS)
-        self.sums = None
-        if real != ti.f64:  # otherwise the fields of forces and torques hold the sums
-            self.sums = block.vector(ti.f64, workers, plan.capacities.chunk_particles, count=size)
-
-
-class Control(Fields):
-    """Flags, counters and constants shared by kernels and host.
-
-    rebuild_requested:          set by the integration if a particle or wall has moved too far
-    rebuild_due:                copy of it at the end of the phase; all further phases of the launch do nothing
-    steps_done, running:        completed steps of a launch; 1 while it continues
-    worker_count:               workers that have not left the launch
-    started_count:              of them, those at the first barrier of the launch
-    halted_at:                  on a GPU, number of the launch whose integration, or forces, halted the following ones
-    patience:                   number of polls after which a worker leaves, and that of the first barrier of a launch
-    next_chunk:                 number of chunks that workers have taken in this phase
-    arrived, released:          counters of the barrier, see `barrier`
-    list_length_needed:         largest number of entries of a segment, plus TOO_LONG if a list exceeds the batch
-    abort, abort_particle:      abort code and smallest id above the limit
-    pair_constants:             row per pair of materials
-    law_parameters:             one row, the parameters of the contact laws
-    losses:                     terms LOSSES of each chunk, see `exact_sums`
-    impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
-    boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
-    external_work:              work of external forces of each chunk, see `exact_sums`
-    force_parameters:           parameters of all external forces
-    force_clock:                since_time, time_step, steps since since_time of the next force evaluation, and the
-                                time by which velocities lag behind positions there [s]
-    damping:                    Cundall ratio and drag rate [1/s] of the present stage
-    image_offset, image_speed:  of a sheared box, for WALL_BATCH steps [m], [m/s]
-    """
-
-    def __init__(self, block: FieldBlock, plan: Plan, backend: Backend) -> None:
-        self.rebuild_due = block.scalar(ti.i32, 1)
-        self.rebuild_requested = block.scalar(ti.i32, 1)
-        self.steps_done, self.running = (block.scalar(ti.i32, 1) for _ in range(2))
-        self.worker_count, self.started_count = (block.scalar(ti.i32, 1) for _ in range(2))
-        self.patience = block.scalar(ti.i32, 2)
-        self.next_chunk, self.released = (block.scalar(ti.i32, 2 * CACHE_LINE) for _ in range(2))
-        self.arrived = block.scalar(ti.i32, 3 * CACHE_LINE)
-        self.list_length_needed = block.scalar(ti.i32, 1)
-        self.halted_at: Any = None if backend.on_cpu else block.scalar(ti.i32, 2)
-        self.abort = block.scalar(ti.i32, 1)
-        self.abort_particle = block.scalar(ti.i32, 1)
-        self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
-        self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
-        super().__init__(block.arrays(sum_arrays(plan), backend))
-        external, parameters = plan.features.external_forces, parameter_count(plan.external_forces)
-        self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
-        damped = plan.damping is not None
-        self.force_clock: Any = block.scalar(ti.f64, 4) if external or damped else None
-        self.damping: Any = block.scalar(ti.f64, 2) if damped else None
-        sheared, position_real = plan.features.lees_edwards, backend.position_real
-        self.image_offset: Any = block.scalar(position_real, WALL_BATCH) if sheared else None
-        self.image_speed: Any = block.scalar(backend.real, WALL_BATCH) if sheared else None
-
-    def fill(self, plan: Plan) -> None:
-        """Write the constant arrays."""
-        write_padded(self.pair_constants, plan.pair_constants)
-        if plan.law_parameters:
-            write_padded(self.law_parameters, np.array([plan.law_parameters]))
-        self.abort_particle[0] = NO_PARTICLE
-        if self.halted_at is not None:
-            write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))
-
-
 class State:
     """All device data of one plan.
 
@@ -237,7 +127,7 @@ class State:
         """
         self.plan, self.capacities = plan, replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
-            self.built(_build_clear)()
+            self.built(build_clear)()
         self._begin()
 
     def _begin(self) -> None:
@@ -313,21 +203,36 @@ class State:
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self.free()
-        self.capacities = capacities
-        self._allocate()
-        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
-        build()
+        self._allocate_grown(capacities, build)
         for field, values in zip(self._block.fields, saved, strict=True):
             write_padded(field, values)
         self.parameters.write(self.plan, capacities)
 
+    def grow_on_device(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        """As `grow_neighbor_list`, without a copy on the host: one kernel copies all fields, old and new in memory."""
+        self._free_built()
+        old = self._block
+        self._allocate_grown(capacities, build)
+        build_copy(old.fields, self._block.fields)()
+        old.free()
+        self.parameters.write(self.plan, capacities)
+
+    def _allocate_grown(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        self.capacities = capacities
+        self._allocate()
+        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
+        build()
+
     def free(self) -> None:
         """Free all device memory."""
+        self._free_built()
+        self._block.free()
+
+    def _free_built(self) -> None:
         for each in self._built.values():
             if isinstance(getattr(each, "block", None), FieldBlock):
                 each.block.free()
         self._built.clear()
-        self._block.free()
 
 
 class FreedState:
@@ -339,27 +244,3 @@ class FreedState:
 
     def __getattr__(self, name: str) -> Any:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
-
-
-UNROLLED = 16
-"""Fields that one loop clears; the kernel language warns of more than 32 statements without a loop."""
-
-
-def _build_clear(state: State) -> Callable[[], None]:
-    """Kernel (): fill all fields with zeros.
-
-    Writes:  all fields of the state
-    """
-    by_shape: dict[tuple[int, ...], list[Any]] = {}
-    for field in state.fields:
-        by_shape.setdefault(field.shape, []).extend(components(field))
-    groups = [fields[k : k + UNROLLED] for fields in by_shape.values() for k in range(0, len(fields), UNROLLED)]
-
-    @ti.kernel
-    def clear():
-        for group in ti.static(groups):
-            for index in ti.grouped(group[0]):
-                for component in ti.static(group):
-                    component[index] = 0
-
-    return clear

@@ -6,10 +6,11 @@ If a neighbor-list rebuild is due, all further phases of a launch do nothing.
 from collections.abc import Callable
 from typing import Any
 
+from granflow.engine.control import CACHE_LINE
 from granflow.engine.force.contact_forces import build_forces
 from granflow.engine.gpu_step import build_gpu_step
 from granflow.engine.integrate import build_integrate
-from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
+from granflow.engine.state import CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.engine.wall_dynamics import build_move_walls
 from granflow.kernel_language import ti

@@ -7,8 +7,6 @@ to the host. If the list capacity is too small, the host reallocates the fields 
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -17,14 +15,15 @@ from granflow.engine.exact_sums import shares_rows
 from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles
-from granflow.engine.neighbor.rebuild import NeighborListRebuild
-from granflow.engine.periodic_box import upload_offsets
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
+from granflow.engine.pair_batch import BATCH, LANES
+from granflow.engine.state import State
 from granflow.engine.step_kernels import build_steps
 from granflow.engine.threads.workers import Workers
-from granflow.engine.walls import upload_poses
+from granflow.engine.timing import Timing
+from granflow.engine.wall_poses import WallPoses
 from granflow.kernel_language import ti
-from granflow.plan.capacities import WALL_BATCH
+from granflow.plan.capacities import Capacities
 
 LAUNCH_SECONDS = 0.05
 """Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
@@ -34,64 +33,6 @@ FIRST_LAUNCH = 50_000
 
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
-
-
-@dataclass
-class Timing:
-    """Wall-clock time [s] by phase, and counts.
-
-    neighbor_list:        neighbor-list rebuilds
-    advance:              all other phases of the steps
-    sampled_forces:       forces of the sampled steps
-    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
-    rebuild_count:        number of neighbor-list rebuilds
-    step_count:           number of completed steps
-    particle_steps:       sum of the particle counts of all steps
-    growth_count:         number of reallocations with a larger list capacity
-    compile:              compilation of kernels
-    exchange:             part of `advance`: messages between MPI ranks, waiting for slower ranks included
-    """
-
-    neighbor_list: float = 0.0
-    advance: float = 0.0
-    sampled_forces: float = 0.0
-    sampled_integration: float = 0.0
-    rebuild_count: int = 0
-    step_count: int = 0
-    particle_steps: int = 0
-    growth_count: int = 0
-    compile: float = 0.0
-    exchange: float = 0.0
-
-    @property
-    def forces(self) -> float:
-        """Wall-clock time [s] of contact forces."""
-        sampled, computing = self.sampled_forces + self.sampled_integration, self.advance - self.exchange
-        return computing * self.sampled_forces / sampled if sampled else computing
-
-    @property
-    def integration(self) -> float:
-        """Wall-clock time [s] of time integration."""
-        return self.advance - self.exchange - self.forces
-
-
-class Rebuild(Protocol):
-    """Rebuild of the neighbor lists."""
-
-    def compile(self) -> None:
-        """Compile the kernels, unless the state has them."""
-
-    def run(self, pose: int, workers: int) -> None:
-        """Rebuild the lists at an index of the wall poses, with a number of workers."""
-
-    def put(self, particles: HostParticles) -> None:
-        """Put particles on an empty device; the next rebuild lists them."""
-
-    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
-        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
-
-    def ids(self) -> np.ndarray:
-        """Ids of all particles that lists can contain, by index."""
 
 
 class Stepper:
@@ -113,8 +54,7 @@ class Stepper:
         self._since_sample = 0
         self._rebuild = self._new_rebuild(on_deleted)
         self._workers = Workers(state)
-        self._pose = WALL_BATCH if state.plan.has_poses else 0
-        self._first_pose_step: int | None = None
+        self.poses = WallPoses(state)
         self._step_seconds = 0.0
         self._compile()
 
@@ -154,12 +94,12 @@ class Stepper:
 
         The clock and the force-controlled walls are those of that rebuild; `clock_at_rebuild` is set here.
         """
-        self.discard_poses()
-        pose = self.place_walls(self.state.clock.step_count)
+        self.poses.discard()
+        pose = self.poses.index_at(self.state.clock.step_count)
         self._prepare_workers()
         self._rebuild.restore(particles, pose, self._workers.count)
         self.clock_at_rebuild = self.state.clock.state_dict()
-        self.discard_poses()
+        self.poses.discard()
 
     def put(self, particles: HostParticles) -> None:
         """Put particles, in the order of their ids, on an empty device; `refresh` must follow."""
@@ -181,7 +121,10 @@ class Stepper:
         longest:  smallest length of a list for which a batch suffices
         """
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(self.state.capacities.grown(needed, longest + BATCH + LANES), self._compile)
+        self._grow(self.state.capacities.grown(needed, longest + BATCH + LANES))
+
+    def _grow(self, capacities: Capacities) -> None:
+        self.state.grow_neighbor_list(capacities, self._compile)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces at the present positions.
@@ -201,33 +144,10 @@ class Stepper:
 
         `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not change.
         """
-        pose = self.place_walls(step)
+        pose = self.poses.index_at(step)
         self.rebuild_neighbor_lists(step, pose)
         write_force_inputs(self.state, step, velocities_lag)
         self.forces(pose, history_step=0.0)
-
-    def place_walls(self, step: int) -> int:
-        """Index of the wall poses after step number `step`; uploads them unless they are on the device."""
-        if not self.state.plan.has_poses:
-            return 0
-        first = self._first_pose_step
-        if first is None or not 0 <= step - first < WALL_BATCH:
-            self._upload(step)
-            self._pose, first = 1, step
-        return step - first
-
-    def discard_poses(self) -> None:
-        """Upload the poses again before their next use, because motions or the time step have changed."""
-        if self.state.plan.has_poses:
-            self._pose, self._first_pose_step = WALL_BATCH, None
-
-    def _upload(self, step: int) -> None:
-        """Upload the poses of walls and images from step number `step`."""
-        self._first_pose_step = step
-        if self.state.plan.features.moving_walls:
-            upload_poses(self.state, step)
-        if self.state.plan.features.lees_edwards:
-            upload_offsets(self.state, step)
 
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.
@@ -269,30 +189,22 @@ class Stepper:
 
         Returns the number of completed steps.
         """
-        state, plan = self.state, self.state.plan
+        state = self.state
         self._prepare_workers()
-        if plan.has_poses:
-            # Walls are not in the displacement check of the particles; their rebuild is due after a number of steps.
-            # It follows the integration of the next step, as all others: forces are not computed again for it.
-            if self._steps_to_displacement_limit() < 1:
-                state.control.rebuild_requested[0] = 1
-            if self._pose == WALL_BATCH:
-                self._upload(step + 1)
-                self._pose = 0
-            steps = min(steps, WALL_BATCH - self._pose, max(self._steps_to_displacement_limit(), 1))
+        if state.plan.has_poses:
+            steps = min(steps, self.poses.prepare(step, self.steps_since_rebuild))
         self._begin_count()
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         write_force_inputs(state, step + 1)
         done = self._launch(steps)
         if self._is_rebuild_due and not self.abort_code:
-            self.rebuild_neighbor_lists(step + done + 1, self._pose + done)
+            self.rebuild_neighbor_lists(step + done + 1, self.poses.next + done)
             write_force_inputs(state, step + done + 1)
-            self.forces(pose=self._pose + done)
+            self.forces(pose=self.poses.next + done)
             done += self._steps_done
         else:
             self.steps_since_rebuild += done
-        if plan.has_poses:
-            self._pose += done
+        self.poses.advance(done)
         self._since_sample += done
         self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
         self.timing.step_count += done
@@ -305,7 +217,7 @@ class Stepper:
         if self._since_sample >= SAMPLE_EVERY:
             return self._sampled_step()
         began, wanted = clock.perf_counter(), min(steps, self._steps_per_launch)
-        self._launch_step(wanted, self._pose, step)
+        self._launch_step(wanted, self.poses.next, step)
         done = self._steps_done
         if done:
             seconds = clock.perf_counter() - began
@@ -330,29 +242,14 @@ class Stepper:
         """Take one step and time its phases separately."""
         step, began = self.state.clock.time_step, clock.perf_counter()
         self._since_sample = 0
-        self._launch_step(1, self._pose, step, forcing=0)
+        self._launch_step(1, self.poses.next, step, forcing=0)
         ti.sync()
         integrated = clock.perf_counter()
         if self._is_rebuild_due or self.abort_code:
             return 0
         forces_began = clock.perf_counter()
-        self._launch_step(1, self._pose, step, moving=0)
+        self._launch_step(1, self.poses.next, step, moving=0)
         ti.sync()
         self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
         return self._steps_done
-
-    def _steps_to_displacement_limit(self) -> int:
-        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
-
-        Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
-        """
-        plan = self.state.plan
-        displacement_limit, speed = (
-            (plan.wall_displacement_limit, plan.wall_speed)
-            if not plan.features.lees_edwards
-            else (plan.skin, plan.image_speed)
-        )
-        if speed == 0.0:
-            return WALL_BATCH
-        return int(displacement_limit / (speed * plan.longest_time_step)) - self.steps_since_rebuild

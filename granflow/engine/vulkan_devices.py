@@ -3,6 +3,7 @@
 import ctypes
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +15,15 @@ API_VERSION = 1 << 22 | 1 << 12
 """Vulkan 1.1, as VK_MAKE_API_VERSION."""
 FEATURE_COUNT, FLOAT64, INT64 = 55, 39, 40
 """Number of entries of VkPhysicalDeviceFeatures, and indices of shaderFloat64 and shaderInt64."""
-INSTANCE_INFO, PROPERTIES_2, DRIVER_PROPERTIES = 1, 1000059001, 1000196000
+INSTANCE_INFO, PROPERTIES_2, MEMORY_2, LIMITS, DRIVER_PROPERTIES, BUDGET = (
+    *(1, 1000059001, 1000059006, 1000168000, 1000196000),
+    1000237000,
+)
 """VkStructureType of the structures."""
+MEMORY_TYPES, MEMORY_HEAPS, DEVICE_LOCAL = 32, 16, 1
+"""Lengths of the arrays of VkPhysicalDeviceMemoryProperties, and flag of a heap in the memory of the device."""
+ADDRESSED = 2**32
+"""Largest buffer [bytes]: kernels address the fields of a run, which are in one buffer, with 32 bits."""
 
 
 class _ApplicationInfo(ctypes.Structure):
@@ -72,6 +80,47 @@ class _Properties(ctypes.Structure):
     )
 
 
+class _Limits(ctypes.Structure):
+    """VkPhysicalDeviceMaintenance3Properties."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("descriptors", ctypes.c_uint32),
+        ("allocation", ctypes.c_uint64),
+    )
+
+
+class _Heap(ctypes.Structure):
+    """VkMemoryHeap."""
+
+    _fields_ = (("size", ctypes.c_uint64), ("flags", ctypes.c_uint32))
+
+
+class _Memory(ctypes.Structure):
+    """VkPhysicalDeviceMemoryProperties2."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("type_count", ctypes.c_uint32),
+        ("types", ctypes.c_uint32 * (2 * MEMORY_TYPES)),
+        ("heap_count", ctypes.c_uint32),
+        ("heaps", _Heap * MEMORY_HEAPS),
+    )
+
+
+class _Budget(ctypes.Structure):
+    """VkPhysicalDeviceMemoryBudgetPropertiesEXT; zeros from a driver without the extension."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("budget", ctypes.c_uint64 * MEMORY_HEAPS),
+        ("usage", ctypes.c_uint64 * MEMORY_HEAPS),
+    )
+
+
 @dataclass(frozen=True)
 class VulkanDevice:
     """A Vulkan device.
@@ -80,12 +129,22 @@ class VulkanDevice:
     driver:      name and version of the driver, as `llvmpipe Mesa 25.0.7 (LLVM 15.0.6)`
     on_cpu:      the driver executes on the CPU
     has_64_bit:  f64 and i64 in kernels
+    total, free: memory [bytes]; without VK_EXT_memory_budget all memory counts as free
+    allocation:  largest allocation [bytes]
     """
 
     name: str
     driver: str
     on_cpu: bool
     has_64_bit: bool = True
+    total: int = 0
+    free: int = 0
+    allocation: int = ADDRESSED
+
+    @property
+    def largest_buffer(self) -> int:
+        """Largest buffer [bytes] for the fields of a run."""
+        return min(self.allocation, ADDRESSED)
 
     @property
     def is_wrong(self) -> bool:
@@ -110,6 +169,11 @@ def vulkan_devices() -> list[VulkanDevice]:
         loader.vkDestroyInstance(instance, None)
 
 
+def used_device(devices: Sequence[VulkanDevice]) -> VulkanDevice | None:
+    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a device."""
+    return min(devices, key=lambda device: device.on_cpu, default=None)
+
+
 def _loader() -> Any:
     """The Vulkan loader; None if it is not installed or older than Vulkan 1.1."""
     names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
@@ -131,12 +195,25 @@ def _handles(loader: Any, instance: ctypes.c_void_p) -> list[ctypes.c_void_p]:
 
 def _device(loader: Any, handle: ctypes.c_void_p) -> VulkanDevice:
     """Properties of one device."""
-    driver = _Driver(kind=DRIVER_PROPERTIES)
+    limits = _Limits(kind=LIMITS)
+    driver = _Driver(kind=DRIVER_PROPERTIES, next=ctypes.addressof(limits))
     found = _Properties(kind=PROPERTIES_2, next=ctypes.addressof(driver))
     loader.vkGetPhysicalDeviceProperties2(handle, ctypes.byref(found))
     features = (ctypes.c_uint32 * FEATURE_COUNT)()
     loader.vkGetPhysicalDeviceFeatures(handle, features)
     text = f"{driver.name.decode(errors='replace')} {driver.info.decode(errors='replace')}"
-    return VulkanDevice(
-        found.name.decode(errors="replace"), text, found.type == CPU_TYPE, bool(features[FLOAT64] and features[INT64])
-    )
+    has_64_bit, (total, free) = bool(features[FLOAT64] and features[INT64]), _memory(loader, handle)
+    name, on_cpu = found.name.decode(errors="replace"), found.type == CPU_TYPE
+    return VulkanDevice(name, text, on_cpu, has_64_bit, total, free, int(limits.allocation) or ADDRESSED)
+
+
+def _memory(loader: Any, handle: ctypes.c_void_p) -> tuple[int, int]:
+    """Total and free memory [bytes] of the largest heap of a device."""
+    budget = _Budget(kind=BUDGET)
+    memory = _Memory(kind=MEMORY_2, next=ctypes.addressof(budget))
+    loader.vkGetPhysicalDeviceMemoryProperties2(handle, ctypes.byref(memory))
+    local = [k for k in range(memory.heap_count) if memory.heaps[k].flags & DEVICE_LOCAL]
+    largest = max(local, key=lambda k: memory.heaps[k].size, default=0)
+    total = int(memory.heaps[largest].size)
+    free = int(budget.budget[largest]) - int(budget.usage[largest]) if budget.budget[largest] else total
+    return total, max(free, 0)

@@ -6,10 +6,10 @@ The name is the key in a `Snapshot`, the name of the array in a VTU file and, fo
 Each mapping contains the definitions of one kind of array or number by name; it is read-only.
 """
 
-from granflow.fields.arrays import CONTACT_QUANTITIES, FIELD_QUANTITIES
+from granflow.fields.arrays import CONTACT_QUANTITIES, FIELD_QUANTITIES, WALL_ARRAY_QUANTITIES
 from granflow.fields.metrics import METRIC_QUANTITIES
 from granflow.fields.particles import PARTICLE_QUANTITIES, DeviceType, FieldSpec
-from granflow.fields.quantity import FileType, Kind, Quantity
+from granflow.fields.quantity import FileType, Kind, Quantity, units
 from granflow.fields.run_numbers import (
     ENERGY_BUDGET_QUANTITIES,
     FLOW_METER_QUANTITIES,
@@ -33,6 +33,7 @@ __all__ = [
     "PARTICLE_QUANTITIES",
     "RUN_QUANTITIES",
     "TOTAL_QUANTITIES",
+    "WALL_ARRAY_QUANTITIES",
     "WALL_FORCE_QUANTITIES",
     "WALL_QUANTITIES",
     "DeviceType",
@@ -41,4 +42,5 @@ __all__ = [
     "Kind",
     "Quantity",
     "unit_of",
+    "units",
 ]

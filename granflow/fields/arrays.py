@@ -41,3 +41,14 @@ FIELD_QUANTITIES = by_name(
     )
 )
 """Arrays of coarse-grained fields, one entry per grid point."""
+
+
+WALL_ARRAY_QUANTITIES = by_name(
+    (
+        Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
+        Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
+        Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
+        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
+    )
+)
+"""Arrays of wall files, one entry per triangle."""

@@ -166,6 +166,7 @@ _PARTICLE_FIELDS = {
         ),
         *_CLUMP_FIELDS,
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
         FieldSpec("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", in_snapshot=False),
     )

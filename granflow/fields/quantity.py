@@ -60,3 +60,8 @@ class Quantity:
 def by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
     """Read-only mapping from name to definition, in the given order."""
     return MappingProxyType({quantity.name: quantity for quantity in quantities})
+
+
+def units(quantities: Mapping[str, Quantity]) -> Mapping[str, str]:
+    """SI units by name, without those of dimensionless quantities."""
+    return MappingProxyType({name: each.unit for name, each in quantities.items() if each.unit != "1"})

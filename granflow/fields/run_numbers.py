@@ -61,6 +61,14 @@ FLOW_METER_QUANTITIES = by_name(
         Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
         Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
         Quantity("mass_flow", "", "kg/s", "mass flow rate: between rows in the time series, steady mean in the result"),
+        Quantity(
+            "residence_time",
+            "",
+            "s",
+            "mean time from insertion to passage of the particles that passed forward: since the previous row in the "
+            "time series, of all in the result",
+        ),
+        Quantity("residence_time_deviation", "", "s", "standard deviation of these times, in the result"),
     )
 )
 """Numbers of each flow meter."""

@@ -123,12 +123,12 @@ class Part:
         """
         return self._array("i", shape, low, high)
 
-    def distinct(self, *shape: int, low: int = 0, high: int = 2**31 - 1) -> np.ndarray:
-        """Return the value, an array of distinct signed integers of the given shape in [low, high].
+    def distinct(self, *shape: int, high: int = 2**31 - 1) -> np.ndarray:
+        """Return the value, an array of distinct integers of the given shape in [0, high].
 
         Raises CheckpointError.
         """
-        found = self.integers(*shape, low=low, high=high)
+        found = self.integers(*shape, low=0, high=high)
         if len(np.unique(found)) < found.size:
             raise self.error("holds a number twice")
         return found

@@ -13,8 +13,8 @@ from granflow.io.regular_files import read_regular_text
 ENTRY = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),\d+ ([A-Z]+) ([\w.]+): (.*)")
 """Time, level, logger and text of an entry in the format of granflow.io.log."""
 
-COMPILED = re.compile(r"(\w+) with (\w+), compiled in (.+) s")
-"""Entry with backend, precision and compilation time [s]."""
+COMPILED = re.compile(r"(\w+) with (\w+)(?:, (\d+) threads?)?, compiled in (.+) s")
+"""Entry with backend, precision, number of threads on a CPU and compilation time [s]."""
 
 RESUMED_FROM = "resumed from"
 """Beginning of the entry of a resumed run."""
@@ -37,12 +37,16 @@ class LogEntry:
 
 @dataclass(frozen=True)
 class RunSession:
-    """One session of a run, from its start or from a checkpoint: start time, versions, backend, checkpoint."""
+    """One session of a run, from its start or from a checkpoint: start time, versions, backend, checkpoint.
+
+    `threads` is empty on a GPU.
+    """
 
     started: str
     versions: str
     arch: str
     precision: str
+    threads: str
     compiled: str
     resumed_from: str
 
@@ -79,8 +83,8 @@ def _session(entries: list[LogEntry]) -> RunSession:
     """Session from its entries; texts are empty if the log lacks them."""
     compiled = next(filter(None, (COMPILED.fullmatch(entry.text) for entry in entries)), None)
     resumed_from = next((entry.text for entry in entries if entry.text.startswith(RESUMED_FROM)), "")
-    arch, precision, seconds = compiled.groups() if compiled else ("", "", "")
-    return RunSession(entries[0].time, entries[0].text, arch, precision, seconds, resumed_from)
+    arch, precision, threads, seconds = compiled.groups("") if compiled else ("",) * COMPILED.groups
+    return RunSession(entries[0].time, entries[0].text, arch, precision, threads, seconds, resumed_from)
 
 
 def explanation(entries: list[LogEntry]) -> str:

@@ -32,29 +32,39 @@ class VtuMesh:
     cells:       blocks of cells
     point_data:  arrays (n,) or (n, components) by name
     cell_data:   by name, one array (k,) or (k, components) for each block
+    units:       SI units of arrays by name; names without an array have no effect
     """
 
     points: np.ndarray
     cells: list[CellBlock]
     point_data: Mapping[str, np.ndarray] = field(default_factory=dict)
     cell_data: Mapping[str, list[np.ndarray]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of_points(cls, points: np.ndarray, point_data: Mapping[str, np.ndarray]) -> "VtuMesh":
+    def of_points(
+        cls, points: np.ndarray, point_data: Mapping[str, np.ndarray], units: Mapping[str, str] | None = None
+    ) -> "VtuMesh":
         """Return a mesh with one vertex cell per point (n, 3) [m]; without cells, ParaView shows glyphs only.
 
-        `point_data`: name -> array (n,) or (n, k).
+        `point_data`: name -> array (n,) or (n, k); `units`: as in the class.
         """
         vertices = np.arange(len(points), dtype=np.int64).reshape(-1, 1)
-        return cls(points, [CellBlock("vertex", vertices)], point_data)
+        return cls(points, [CellBlock("vertex", vertices)], point_data, {}, units or {})
 
     @classmethod
     def of_cells(
-        cls, kind: str, points: np.ndarray, cells: np.ndarray, cell_data: Mapping[str, np.ndarray]
+        cls,
+        kind: str,
+        points: np.ndarray,
+        cells: np.ndarray,
+        cell_data: Mapping[str, np.ndarray],
+        units: Mapping[str, str] | None = None,
     ) -> "VtuMesh":
         """Return a mesh of cells of one kind, such as "line" (k, 2) or "triangle" (k, 3), with points (n, 3) [m].
 
-        `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components).
+        `cells`: indices of points, converted to int64; `cell_data`: name -> array (k,) or (k, components); `units`: as
+        in the class.
         """
         per_block = {name: [values] for name, values in cell_data.items()}
-        return cls(points, [CellBlock(kind, cells.astype(np.int64))], {}, per_block)
+        return cls(points, [CellBlock(kind, cells.astype(np.int64))], {}, per_block, units or {})

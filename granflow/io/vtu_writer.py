@@ -7,6 +7,7 @@ frame, while it holds the interpreter lock.
 import zlib
 from binascii import b2a_base64
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -50,6 +51,7 @@ def _parts(mesh: VtuMesh) -> Iterator[bytes]:
         cells, encoded, cell_count = _empty_polygon(), _uncompressed, 1
         cell_data = {name: np.zeros((1, *values.shape[1:]), values.dtype) for name, values in cell_data.items()}
     yield HEAD.format(compressor=COMPRESSOR if encoded is _compressed else "").encode()
+    yield _field_data(tuple((name, mesh.units[name]) for name in (*mesh.point_data, *cell_data) if name in mesh.units))
     yield f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cell_count}">\n'.encode()
     sections = {"Points": {"Points": mesh.points}, "Cells": cells, "PointData": mesh.point_data, "CellData": cell_data}
     for name, arrays in sections.items():
@@ -58,6 +60,16 @@ def _parts(mesh: VtuMesh) -> Iterator[bytes]:
             yield from _array(each, values, encoded)
         yield f"</{name}>\n".encode()
     yield TAIL
+
+
+@lru_cache
+def _field_data(units: tuple[tuple[str, str], ...]) -> bytes:
+    """Field data that states units: an array `velocity [m/s]` with the number 1, because meshio reads no text."""
+    if not units:
+        return b""
+    names = (quoteattr(f"{name} [{unit}]") for name, unit in units)
+    arrays = (f'<DataArray type="Int8" Name={name} NumberOfTuples="1" format="ascii">1</DataArray>\n' for name in names)
+    return f"<FieldData>\n{''.join(arrays)}</FieldData>\n".encode()
 
 
 def _empty_polygon() -> dict[str, np.ndarray]:

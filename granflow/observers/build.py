@@ -45,7 +45,7 @@ def observers_for(
         pieces = write_pieces(reach) if write_pieces and output.frames_per_rank else None
         observers.append(ParticleFrames(out_dir, output.interval, 0.0, writer, reach, pieces))
     if out_dir is not None and output.contacts:
-        observers.append(ContactFrames(out_dir, output.interval, writer=writer))
+        observers.append(ContactFrames(out_dir, output.interval, writer=writer, history_units=_history_units(plan)))
     if out_dir is not None and output.walls and plan.walls:
         triangles_of_walls, measured = _wall_triangles(plan), plan.measured_areas
         unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
@@ -65,6 +65,11 @@ def observers_for(
     if progress:
         observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers
+
+
+def _history_units(plan: Plan) -> dict[str, str]:
+    """Units of the history fields of the contact models by name, without those of dimensionless ones."""
+    return {each.name: each.unit for fields in plan.laws.history.values() for each in fields if each.unit != "1"}
 
 
 def _wall_triangles(plan: Plan) -> dict[str, tuple[np.ndarray, np.ndarray]]:

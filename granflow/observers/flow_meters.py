@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -13,29 +14,39 @@ from granflow.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class _Sample:
-    """Particles at the previous sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
+    """Particles at a sample: `distance` (n,) [m] beyond the plane, `part` (n,): index of the part."""
 
     id: np.ndarray
     mass: np.ndarray
     position: np.ndarray
     distance: np.ndarray
+    insertion_time: np.ndarray
     part: np.ndarray
 
 
 class FlowCount:
     """Net mass [kg] and number of particles so far, and the history of the mass: (time [s], stage, mass [kg]).
 
-    One count per flow meter, and one more for each material or group if the meter has `group_by`.
+    One count per flow meter, and one more for each material or group if the meter has `group_by`. `passed` and
+    `passed_before`: sums over the particles that passed forward, now and at the previous sample: their number, their
+    residence times [s] and the squares of these [s2].
     """
 
     def __init__(self) -> None:
         self.mass, self.count = 0.0, 0
         self.history: list[tuple[float, str, float]] = []
+        self.passed = self.passed_before = np.zeros(3)
 
-    def add(self, mass: np.ndarray, direction: np.ndarray) -> None:
-        """Count particles of masses (n,) [kg] with directions (n,): 1 forward, -1 backward."""
+    def add(self, mass: np.ndarray, direction: np.ndarray, residence_time: np.ndarray) -> None:
+        """Count particles of masses (n,) [kg] with directions (n,), 1 forward, -1 backward, and residence times [s]."""
         self.mass += float((mass * direction).sum())
         self.count += int(direction.sum())
+        forward = residence_time[direction > 0]
+        self.passed = self.passed + [len(forward), forward.sum(), (forward**2).sum()]
+
+    def end_sample(self, time: float, stage: str) -> None:
+        """Add a sample of the mass, at `time` [s], to the history."""
+        self.history.append((time, stage, self.mass))
 
     def mass_flow(self) -> float:
         """Return the mass flow rate [kg/s] between the last two samples; 0 after the first."""
@@ -45,20 +56,30 @@ class FlowCount:
         return (mass_now - mass_before) / (time_now - time_before)
 
     def readings(self) -> dict[str, float]:
-        """Return `flow_mass` [kg], `flow_count`, and `mass_flow` [kg/s] since the previous sample."""
-        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": self.mass_flow()}
+        """Return `flow_mass` [kg], `flow_count`; since the previous sample `mass_flow` [kg/s], `residence_time` [s]."""
+        mean, _ = _mean_and_deviation(self.passed - self.passed_before)
+        return self._amounts() | {"mass_flow": self.mass_flow(), "residence_time": mean}
 
     def result(self) -> dict[str, float]:
-        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`."""
-        return {"flow_mass": self.mass, "flow_count": self.count, "mass_flow": steady_flow(self.history)}
+        """Return the final numbers: `flow_mass` [kg], `flow_count`, `mass_flow` [kg/s] from `steady_flow`.
+
+        `residence_time` and `residence_time_deviation` [s]: of all particles that passed forward, NaN without any.
+        """
+        mean, deviation = _mean_and_deviation(self.passed)
+        flow = {"mass_flow": steady_flow(self.history)}
+        return self._amounts() | flow | {"residence_time": mean, "residence_time_deviation": deviation}
+
+    def _amounts(self) -> dict[str, float]:
+        return {"flow_mass": self.mass, "flow_count": self.count}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return mass, number and history."""
+        """Return mass, number, history and sums of residence times."""
         return dict(vars(self))
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
         self.mass, self.count = saved["mass"], saved["count"]
+        self.passed, self.passed_before = saved["passed"], saved["passed_before"]
         self.history = [(time, stage, mass) for time, stage, mass in saved["history"]]
 
 
@@ -76,6 +97,7 @@ class FlowMeter:
       the disc or rectangle: it left the domain before it could be sampled on the far side.
     - In a periodic box the line ends at the nearest image, so that a wrapped particle does not count as backward.
     - A particle that is first sampled on the far side does not count.
+    - The time of the passage, and with it the residence time, is the mean of the times of the two samples.
 
     The interval between samples must be short enough that particles move in nearly straight lines.
     """
@@ -104,17 +126,21 @@ class FlowMeter:
         return {"": self.total, **self.parts}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Count the particles that passed since the last sample; reads id, mass, position and the array `group_by`.
+        """Count the particles that passed since the last sample.
 
-        The first snapshot is the reference and counts nothing.
+        Reads id, mass, position, insertion_time and the array `group_by`. The first snapshot is the reference and
+        counts nothing.
         """
         now = self._sample(snapshot)
+        for flow_count in self.flow_counts().values():
+            flow_count.passed_before = flow_count.passed
         if self._last is not None:
-            self._count_crossed(self._last, now)
-            self._count_deleted(self._last, now)
+            time = 0.5 * (self.total.history[-1][0] + snapshot.time)
+            self._count_crossed(self._last, now, time)
+            self._count_deleted(self._last, now, time)
         self._last = now
         for flow_count in self.flow_counts().values():
-            flow_count.history.append((snapshot.time, snapshot.stage, flow_count.mass))
+            flow_count.end_sample(snapshot.time, snapshot.stage)
 
     def state_dict(self) -> dict[str, Any]:
         """Return counts, histories and the last sample, with arrays (n,) and (n, 3) for the n particles present."""
@@ -132,10 +158,11 @@ class FlowMeter:
         particles = snapshot.particles
         distance = (particles["position"] - self.point) @ self.normal
         part = np.zeros(len(distance), np.int32) if self._group_by is None else particles[self._group_by]
-        return _Sample(particles["id"], particles["mass"], particles["position"], distance, part)
+        arrays = (particles["id"], particles["mass"], particles["position"], distance, particles["insertion_time"])
+        return _Sample(*arrays, part)
 
-    def _count_crossed(self, last: _Sample, now: _Sample) -> None:
-        """Count the particles that exist in both samples and crossed between them.
+    def _count_crossed(self, last: _Sample, now: _Sample, time: float) -> None:
+        """Count the particles that exist in both samples and crossed between them, at `time` [s].
 
         In a periodic box, the lines to the nearest image of the end and from the nearest image of the start are both
         tested, since the plane may be near either boundary.
@@ -148,8 +175,8 @@ class FlowMeter:
         if self._periodic_box is not None:
             crossed_from_image = self._crossing(self._periodic_box.nearest_images(start, end), end)
             direction = np.where(direction == 0, crossed_from_image, direction)
-        crossed = direction != 0
-        self._add(now.mass[after][crossed], direction[crossed], now.part[after][crossed])
+        crossed = after[direction != 0]
+        self._add(now, crossed, direction[direction != 0], time)
 
     def _crossing(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return (n,): 1, -1 or 0 for lines from `start` to `end` (n, 3) [m] that cross forward, backward or not."""
@@ -167,18 +194,30 @@ class FlowMeter:
         share = offset @ (self.sides / np.sum(self.sides**2, axis=1)[:, None]).T
         return np.asarray(np.logical_and(share >= 0.0, share <= 1.0).all(axis=1))
 
-    def _count_deleted(self, last: _Sample, now: _Sample) -> None:
-        """Count as forward the particles in the last sample only that were in front of the disc or rectangle."""
+    def _count_deleted(self, last: _Sample, now: _Sample, time: float) -> None:
+        """Count as forward, at `time` [s], particles in the last sample only, in front of the disc or rectangle."""
         foot = last.position - last.distance[:, None] * self.normal
         near = (last.distance <= 0) & self._within(foot)
-        deleted = near & ~np.isin(last.id, now.id, assume_unique=True)
-        self._add(last.mass[deleted], np.ones(deleted.sum(), dtype=int), last.part[deleted])
+        deleted = np.flatnonzero(near & ~np.isin(last.id, now.id, assume_unique=True))
+        self._add(last, deleted, np.ones(len(deleted), dtype=int), time)
 
-    def _add(self, mass: np.ndarray, direction: np.ndarray, part: np.ndarray) -> None:
-        """Add masses (n,) [kg] with directions (n,) to the total count, and to the counts of their parts (n,)."""
-        self.total.add(mass, direction)
+    def _add(self, sample: _Sample, index: np.ndarray, direction: np.ndarray, time: float) -> None:
+        """Add particles (k,) of a sample with directions (k,) that passed at `time` [s], to the total and the parts."""
+        mass, part = sample.mass[index], sample.part[index]
+        residence_time = time - sample.insertion_time[index]
+        self.total.add(mass, direction, residence_time)
         for number, flow_count in enumerate(self.parts.values()):
-            flow_count.add(mass[part == number], direction[part == number])
+            own = part == number
+            flow_count.add(mass[own], direction[own], residence_time[own])
+
+
+def _mean_and_deviation(sums: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation from the number of values, their sum and that of their squares; NaN without any."""
+    count, total, squares = sums.tolist()
+    if not count:
+        return nan, nan
+    mean = total / count
+    return mean, sqrt(max(squares / count - mean**2, 0.0))
 
 
 def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, WALL_ARRAY_QUANTITIES, units
 from granflow.geometry.mesh.mesh import triangle_areas
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.frames import FrameSeries, WritePieces
@@ -120,14 +120,29 @@ def particle_mesh(particles: Mapping[str, np.ndarray], reach: float, radius_min:
         for name, field in PARTICLE_QUANTITIES.items()
         if field.displayed and name in particles
     }
-    return VtuMesh.of_points(particles["position"].astype(np.float32 if resolved else np.float64), arrays)
+    points = particles["position"].astype(np.float32 if resolved else np.float64)
+    return VtuMesh.of_points(points, arrays, units(PARTICLE_QUANTITIES))
 
 
 class ContactFrames(Frames):
-    """`contacts_NNNN.vtu`: one line per contact from center to center (or to the contact point on a wall)."""
+    """`contacts_NNNN.vtu`: one line per contact from center to center (or to the contact point on a wall).
+
+    `history_units`: units of the history fields of the contact models, by name.
+    """
 
     wants = frozenset({CONTACTS})
     stem = "contacts"
+
+    def __init__(
+        self,
+        directory: Path,
+        interval: float,
+        start: float = 0.0,
+        writer: BackgroundWriter | None = None,
+        history_units: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(directory, interval, start, writer)
+        self._units = {**(history_units or {}), **units(CONTACT_QUANTITIES)}
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
         """Return the mesh of one frame: 2 k points (float64) and k lines for k contacts.
@@ -144,7 +159,7 @@ class ContactFrames(Frames):
             if name in contacts and name not in _CONTACT_POINTS
         }
         histories = {name: contacts[name].astype(np.float32) for name in contacts if name not in CONTACT_QUANTITIES}
-        return VtuMesh.of_cells("line", points, lines, arrays | histories)
+        return VtuMesh.of_cells("line", points, lines, arrays | histories, self._units)
 
 
 class WallFrames(Frames):
@@ -200,7 +215,8 @@ class WallFrames(Frames):
                 cell_data[name] = np.concatenate(parts).astype(np.float32)
         if self._has_belts:
             cell_data["surface_velocity"] = np.concatenate(belts).astype(np.float32)
-        return VtuMesh.of_cells("triangle", np.concatenate(points), np.concatenate(corners), cell_data)
+        found = np.concatenate(points), np.concatenate(corners)
+        return VtuMesh.of_cells("triangle", *found, cell_data, units(WALL_ARRAY_QUANTITIES))
 
     def _traction_and_pressure(
         self, snapshot: Snapshot, index: int, name: str, count: int

@@ -96,10 +96,6 @@ class Communicator:
         """The value of each rank, on all ranks."""
         return list(self._world.allgather(value))
 
-    def from_root(self, values: Sequence[Any] | None) -> Any:
-        """The value for this rank, of the root's one for each rank; None on the other ranks."""
-        return self._world.scatter(values)
-
     def to_root(self, value: Any) -> list[Any]:
         """The value of each rank on the root; empty on the others."""
         return list(self._world.gather(value) or [])

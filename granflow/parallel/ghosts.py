@@ -7,7 +7,7 @@ import numpy as np
 from granflow.engine.host_fields import records_of
 from granflow.engine.host_particles import joined_arrays
 from granflow.engine.limits import NO_PARTICLE
-from granflow.engine.neighbor.cell_sort import KEPT_REACH
+from granflow.engine.neighbor.bounds import KEPT_REACH
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
 from granflow.fields import PARTICLE_QUANTITIES
@@ -30,7 +30,7 @@ class Box:
 
 
 def reaches(state: State, arrays: Arrays, reach_time: float) -> np.ndarray:
-    """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.cell_sort.bounds_phase`."""
+    """Radius plus an upper bound of the reach (n,) [m] of particles, see `engine.neighbor.bounds.bounds_phases`."""
     plan = state.plan
     velocity = arrays["velocity"].astype(float)
     speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
@@ -103,7 +103,7 @@ class GhostExchange:
         """Send the particles that other ranks need; returns the ghosts of this rank, all fields.
 
         arrays:      saved fields of the owned particles, in the order that they have on the device from now on
-        reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
+        reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
         """
         communicator, position = self._communicator, arrays["position"].astype(float)
         reach = reaches(self._state, arrays, reach_time)

@@ -13,18 +13,19 @@ from granflow.engine.deleted_particles import DELETED_FIELDS
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles, at_present, joined_arrays
 from granflow.engine.limits import ABORT_FAR
-from granflow.engine.neighbor.cell_sort import KEPT_REACH
+from granflow.engine.neighbor.bounds import KEPT_REACH
 from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
 from granflow.engine.neighbor.rebuild import RebuildKernel
+from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.ranks import Arrays
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.parallel.balance import LoadBalance
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.ghosts import GhostExchange
 from granflow.parallel.migration import Share, migrated
-from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS, list_capacity_for
+from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
 
 UNUSED = -1
 """Id of array entries that contain no particle."""
@@ -108,7 +109,7 @@ class RankRebuild:
 
         present:     (k,) indices of the particles that are not deleted
         deleted:     of this rank
-        reach_time:  [s], see `engine.neighbor.cell_sort.bounds_phase`
+        reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
         """
         share = self._share(particles, present)
         self._place(share, self.ghosts.select(share.arrays, reach_time), deleted)
@@ -186,7 +187,7 @@ class RankRebuild:
         more_particles = particles > self._state.plan.capacities.particles
         more_histories = per_segment > capacities.saved_entries_per_segment
         if more_particles or more_histories:
-            entries = list_capacity_for(per_segment) if more_histories else 0
+            entries = capacities.list_capacity_for(per_segment) if more_histories else 0
             self._grow(int(GROWTH_FACTOR * particles) if more_particles else 0, entries, 0)
 
     def _fill(self, pose: int, workers: int, reach_time: float) -> None:

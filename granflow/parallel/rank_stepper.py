@@ -10,7 +10,6 @@ from granflow.engine.state import State
 from granflow.engine.stepper import Stepper
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_rebuild import RankRebuild, grown_plan_capacity
-from granflow.plan.capacities import WALL_BATCH
 
 
 class RankStepper(Stepper):
@@ -87,9 +86,9 @@ class RankStepper(Stepper):
 
     def _advance_batch(self, steps: int, step: int) -> int:
         """Take one step; returns the number of completed steps, 0 after an abort."""
-        state, plan = self.state, self.state.plan
+        state = self.state
         self._prepare_workers()
-        self._request_rebuild_for_walls(step)
+        self.poses.prepare(step, self.steps_since_rebuild)
         state.control.steps_done[0] = 0
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         write_force_inputs(state, step + 1)
@@ -99,8 +98,7 @@ class RankStepper(Stepper):
         is_due = self._agree()
         exchanged = clock.perf_counter()
         done = 0 if self.abort_code else self._finish_step(is_due, step, moving)
-        if plan.has_poses:
-            self._pose += done
+        self.poses.advance(done)
         self.timing.sampled_integration += moving
         self.timing.exchange += exchanged - integrated
         self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
@@ -111,18 +109,8 @@ class RankStepper(Stepper):
     def _launch_phase(self, moving: int = 1, forcing: int = 1) -> float:
         """Launch one phase of a step; returns its wall-clock time [s]."""
         began = clock.perf_counter()
-        self._launch_step(1, self._pose, self.state.clock.time_step, moving, forcing)
+        self._launch_step(1, self.poses.next, self.state.clock.time_step, moving, forcing)
         return clock.perf_counter() - began
-
-    def _request_rebuild_for_walls(self, step: int) -> None:
-        """Upload the poses of the walls if necessary, and request a rebuild if a wall may have moved too far."""
-        if not self.state.plan.has_poses:
-            return
-        if self._steps_to_displacement_limit() < 1:
-            self.state.control.rebuild_requested[0] = 1
-        if self._pose == WALL_BATCH:
-            self._upload(step + 1)
-            self._pose = 0
 
     def _finish_step(self, is_due: bool, step: int, moving: float) -> int:
         """Rebuild if it is due, and compute the forces; returns 0 after an abort, else 1.
@@ -130,7 +118,7 @@ class RankStepper(Stepper):
         moving:  time [s] of the integration
         """
         if is_due:
-            self.rebuild_neighbor_lists(step + 1, self._pose)
+            self.rebuild_neighbor_lists(step + 1, self.poses.next)
             write_force_inputs(self.state, step + 1)
         forcing = self._launch_phase(moving=0)
         computed = clock.perf_counter()

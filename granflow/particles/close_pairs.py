@@ -151,14 +151,12 @@ def close_pairs(
     return i[close], j[close]
 
 
-def overlaps_any(
-    points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray, reach: float = 0.0
-) -> np.ndarray:
-    """Whether each sphere (n,) has a gap below `reach` [m] to any of the others; 0: whether it overlaps one.
+def overlaps_any(points: np.ndarray, radius: np.ndarray, others: np.ndarray, other_radius: np.ndarray) -> np.ndarray:
+    """Whether each sphere (n,) overlaps any of the others.
 
     `points` (n, 3), `others` (m, 3): centers [m]; `radius` (n,), `other_radius` (m,) [m].
     """
     overlaps = np.zeros(len(points), dtype=bool)
-    first, _ = cross_pairs(points, radius, others, other_radius, reach)
+    first, _ = cross_pairs(points, radius, others, other_radius, 0.0)
     overlaps[first] = True
     return overlaps

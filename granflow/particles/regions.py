@@ -29,20 +29,6 @@ class RegionSampler(Protocol):
         """Whether spheres of radius `reach` (n,) [m] around the points may intersect the region; no false negatives."""
 
 
-class PackingRegion(RegionSampler, Protocol):
-    """A region that a lattice or a random packing fills: a box or a cylinder."""
-
-    def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The nearest centers (n, 3) [m] with the spheres of radii (n,) [m] entirely inside."""
-
-    def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
-
-        Spheres of radius `margin` remain inside after a displacement by any sum of the vectors (rows) times numbers
-        in [-1, 1]. Order: in layers from the bottom of the box, or from the start of the axis of the cylinder.
-        """
-
-
 class BoxSampler:
     """A box with edges along the coordinate axes from `low` to `high` (3,) [m]."""
 
@@ -57,10 +43,15 @@ class BoxSampler:
         return self.low + margin + random.random((len(radius), 3)) * (self.high - self.low - 2 * margin)
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """The nearest centers (n, 3) [m] with the spheres of radii (n,) [m] entirely inside."""
         return np.clip(points, self.low + radius[:, None], self.high - radius[:, None])
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """As in `PackingRegion`; the cells are stretched to fill the box."""
+        """Centers (n, 3) [m] of a lattice with cells not smaller than `spacing`, and displacement vectors (3, 3) [m].
+
+        Spheres of radius `margin` remain inside after a displacement by any sum of the vectors (rows) times numbers
+        in [-1, 1]. Order: in layers from the bottom of the box. The cells are stretched to fill the box.
+        """
         size = self.high - self.low
         cells = np.floor(size / spacing * (1 + SLACK)).astype(int)
         cell = size / np.maximum(cells, 1)
@@ -105,6 +96,7 @@ class CylinderSampler:
         return self.from_local(np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1))
 
     def confine(self, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """As of `BoxSampler`."""
         local = self.to_local(points)
         r = np.linalg.norm(local[:, :2], axis=1)
         clearance = self.radius - radius
@@ -114,7 +106,7 @@ class CylinderSampler:
         return self.from_local(local)
 
     def sites(self, spacing: float, margin: float, jitter: float) -> tuple[np.ndarray, np.ndarray]:
-        """As in `PackingRegion`; layers are square lattices around the axis, stretched to fill the length."""
+        """As of `BoxSampler`; layers from the start of the axis are square lattices, stretched to fill the length."""
         axes = int(2 * self.radius / spacing * (1 + SLACK))
         layers = int(self.length / spacing * (1 + SLACK))
         height = self.length / max(layers, 1)

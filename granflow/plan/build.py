@@ -32,7 +32,7 @@ from granflow.plan.plan import Plan
 from granflow.plan.resolution import refuse_coarse
 from granflow.plan.scene_parts import planned_groups, planned_stages
 from granflow.plan.settings import settings_of
-from granflow.plan.size_classes import diameter_range, size_classes
+from granflow.plan.size_classes import size_classes
 from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
 from granflow.plan.travel import (
     refuse_fast_images,
@@ -77,14 +77,17 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
     velocity = impact_velocity.value
-    laws = build_laws(scene, velocity)
-    law = laws.normal
-    features = features_of(scene, active_models(scene), law.rate_dependent)
-    pair_constants = pair_table(scene, laws, materials)
-    radii = [0.5 * d for group in scene.particles.values() for d in diameter_range(group)]
+    groups, models = planned_groups(scene), active_models(scene)
+    radii = [0.5 * diameter for group in groups for diameter in group.diameters]
     radius_min, radius_max = min(radii), max(radii)
+    solids = {name: solid(given) for name, given in scene.materials.items()}
+    pairs = pair_materials(scene, models, solids)
+    laws = build_laws(scene, groups, models, pairs, velocity)
+    law = laws.normal
+    features = features_of(scene, models, law.rate_dependent)
+    pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
-    pair_cases = tuple(pair_cases_of(scene))
+    pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
     refuse_fast_motion(scene, walls, step.value)
@@ -92,15 +95,17 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
     _refuse_geometry(scene, walls, radius_max, skin + laws.range)
-    particle_count = sum(group.sphere_count for group in scene.particles.values())
+    particle_count = sum(group.sphere_count for group in groups)
     controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
         **_as_given(scene),
         features=features,
         reasons=reasons_for(scene, features),
+        groups=groups,
+        solids=solids,
         materials=materials,
         laws=laws,
-        pair_materials=pair_materials(scene, materials),
+        pair_materials={both: pair for both, pair in pairs.items() if set(both) <= set(materials)},
         pair_constants=pair_constants,
         pair_cases=pair_cases,
         particle_capacity=particle_count,
@@ -114,15 +119,10 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
         wall_speed=speed,
         controlled_motions=controlled_motions,
-        forecasts=tuple(forecasts_of(scene, laws, impact_velocity, walls, controlled_motions)),
-        adaptive_time_step=_adaptive_time_step(
-            scene.numerics, pair_cases, law, velocity, max(speed, image_speed(scene.domain), adhesion)
-        )
-        if features.adaptive_step
-        else None,
+        adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, adhesion)),
     )
     _refuse_fast(scene, plan, speeds)
-    return plan
+    return replace(plan, forecasts=tuple(forecasts_of(scene, plan)))
 
 
 def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:
@@ -156,20 +156,19 @@ def _as_given(scene: Scene) -> dict[str, Any]:
         "max_overlap": scene.numerics.max_overlap,
         "stages": planned_stages(scene),
         "damping": planned_damping(scene.damping),
-        "groups": planned_groups(scene),
         "size_classes": size_classes(scene.particles),
-        "solids": {name: solid(scene.materials, name) for name in scene.materials},
         "measured_walls": scene.measured_walls,
         "outlets": planned_outlets(scene.outlets),
     }
 
 
 def _sources(scene: Scene) -> dict[str, str]:
-    """Positions in the scene file for messages: of the key that sets the number of steps, a given skin, `on_exit`."""
+    """Positions in the scene file for messages: of the key that sets the number of steps, given numerics, `on_exit`."""
     given_step = not isinstance(scene.run.time_step, str)
     steps = ("run", "time_step") if given_step else ("stages",) if scene.stages else ("run", "duration")
     sources = {"steps": scene.locate(*steps), "domain.on_exit": scene.where("domain", "on_exit")}
-    return sources | ({} if scene.numerics.skin == "auto" else {"numerics.skin": scene.where("numerics", "skin")})
+    is_given = {"skin": scene.numerics.skin != "auto", "max_overlap": scene.is_given("numerics", "max_overlap")}
+    return sources | {f"numerics.{name}": scene.where("numerics", name) for name, given in is_given.items() if given}
 
 
 def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> None:
@@ -214,11 +213,16 @@ def _time_step(
 
 
 def _adaptive_time_step(
-    numerics: Numerics, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, speed: float
-) -> AdaptiveTimeStep:
-    """Table of the adaptive time step; `velocity`: maximum impact velocity, `speed`: of walls and images [m/s]."""
-    bounds = (numerics.time_step_fraction, numerics.rayleigh_fraction)
-    return adaptive_time_step_for(pair_cases, law, velocity, speed, *bounds)
+    scene: Scene, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float, speed: float
+) -> AdaptiveTimeStep | None:
+    """Table of the adaptive time step; None for a fixed one.
+
+    `velocity`: maximum impact velocity; `speed`: the larger one of walls and of cohesion [m/s].
+    """
+    if scene.run.time_step != "adaptive":
+        return None
+    bounds = (scene.numerics.time_step_fraction, scene.numerics.rayleigh_fraction)
+    return adaptive_time_step_for(pair_cases, law, velocity, max(speed, image_speed(scene.domain)), *bounds)
 
 
 def _chunk_size(numerics: Numerics, particle_count: int) -> int:

@@ -37,11 +37,20 @@ Measured in beds with friction 0.5 and 10 % size spread: 3.6 to 4.0 at a skin of
 HISTORY_SHARE = 0.8
 """Share of the list entries that can hold a contact history at a neighbor-list rebuild."""
 
+SAVED_CONTACTS = 3.1
+"""Contacts per particle whose history can be saved in large scenes with one segment; packings without friction have 3.
+
+Less than HISTORY_SHARE of the list entries. Segments of one chunk each need more: contacts are denser in some of them.
+"""
+
 SPARE = 8
 """Entries per segment in addition to a share, for segments with few list entries."""
 
 BOUNDS = 256
 """Number of parts of the particle list whose bounding boxes are computed in parallel at a rebuild."""
+
+SUBPARTS = 64
+"""Number of threads of a GPU for each of these parts."""
 
 LARGE = 100_000
 """Capacity above which the steps between capacities are smaller."""
@@ -86,9 +95,19 @@ def neighbors_per_particle(particle_count: int, skin_over_radius: float) -> floa
     return max(neighbors, GENEROUS_NEIGHBORS) if particle_count < GENEROUS_BELOW else neighbors
 
 
+def history_share(particle_count: int, segments: int, list_entries: int) -> float:
+    """Initial share of `list_entries` that can be saved with a history, see HISTORY_SHARE and SAVED_CONTACTS.
+
+    In whole hundredths, so that scenes of similar size and skin share their machine code.
+    """
+    if segments > 1 or particle_count < GENEROUS_BELOW:
+        return HISTORY_SHARE
+    return min(HISTORY_SHARE, ceil(100.0 * 2.0 * SAVED_CONTACTS * particle_count / list_entries) / 100.0)
+
+
 @dataclass(frozen=True)
 class Capacities:
-    """Lengths of the device arrays, rounded by `rounded_capacity`, with the exception of `segments`.
+    """Lengths of the device arrays, rounded by `rounded_capacity`, but for `segments` and `history_share`.
 
     segments:        equal parts of `list_entries`, one for each chunk, or 1 if each particle is a chunk; not a length
     list_entries:    entries of all neighbor lists
@@ -97,6 +116,7 @@ class Capacities:
     batch:           contacts of one batch on a CPU
     chunk_particles: particles of a chunk, whose force sums a CPU thread holds
     wall_rows:       rows of the sums of wall forces, one for each chunk or SHARED_ROWS
+    history_share:   share of the list entries that can be saved with a history at a rebuild; not a length
     """
 
     particles: int
@@ -112,11 +132,12 @@ class Capacities:
     batch: int
     chunk_particles: int
     wall_rows: int
+    history_share: float
 
     @property
     def saved_entries(self) -> int:
-        """History entries that a neighbor-list rebuild can save."""
-        return history_capacity(self.list_entries)
+        """History entries that a rebuild can save; fewer than list entries, because only contacts have a history."""
+        return int(self.history_share * self.list_entries) + SPARE
 
     @property
     def list_entries_per_segment(self) -> int:
@@ -127,6 +148,10 @@ class Capacities:
     def saved_entries_per_segment(self) -> int:
         """Saved history entries of each segment."""
         return self.saved_entries // self.segments
+
+    def list_capacity_for(self, saved: int) -> int:
+        """List entries per segment for which a rebuild can save this number of history entries."""
+        return ceil((saved + 1) / self.history_share)
 
     def grown(self, needed: int, batch: int) -> "Capacities":
         """Capacities for at least GROWTH_FACTOR times `needed` list entries per segment, and `batch` contacts."""
@@ -147,19 +172,3 @@ def rounded_capacity(needed: int, smallest: int) -> int:
     while capacity < needed:
         capacity += max(capacity // (4 if capacity < LARGE else 16), 1)
     return capacity
-
-
-def history_capacity(list_entries: int) -> int:
-    """History entries saved at a rebuild for this number of list entries.
-
-    Fewer than list entries, because only pairs in contact have a history; HISTORY_SHARE is the share that fits.
-    """
-    return int(HISTORY_SHARE * list_entries) + SPARE
-
-
-def list_capacity_for(saved: int) -> int:
-    """List entries per segment for which a rebuild can save this number of history entries.
-
-    HISTORY_SHARE of the result is at least `saved`.
-    """
-    return ceil((saved + 1) / HISTORY_SHARE)

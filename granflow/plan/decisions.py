@@ -12,7 +12,7 @@ from granflow.plan.adaptive_time_step import AdaptiveTimeStep
 from granflow.plan.damping import PlannedDamping
 from granflow.plan.external_forces import ExternalForce
 from granflow.plan.features import Features, Reason
-from granflow.plan.forecast.overlaps import Forecast
+from granflow.plan.forecast.forecast import Forecast
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.meshes import MeshNote
 from granflow.plan.outlets import PlannedOutlet
@@ -42,7 +42,7 @@ class Decisions:
     """Sentences on changes to the scene as written."""
     settings: tuple[OptionalSetting, ...]
     sources: Mapping[str, str]
-    """Positions in the scene file for messages, by key: steps, domain.on_exit, numerics.skin if given."""
+    """Positions in the scene file for messages, by key: steps, domain.on_exit, given numerics."""
     precision: Precision
     domain: Domain
     periodic_box: PeriodicBox
@@ -90,7 +90,7 @@ class Decisions:
     outlets: tuple[PlannedOutlet, ...]
     adaptive_time_step: AdaptiveTimeStep | None
     """Time steps by impact velocity if the time step is adaptive."""
-    forecasts: tuple[Forecast, ...]
+    forecasts: tuple[Forecast, ...] = ()
     """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
     external_forces: tuple[ExternalForce, ...] = ()
     """Forces that a program has added; none follow from the scene."""

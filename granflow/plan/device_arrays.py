@@ -9,7 +9,15 @@ from math import prod
 from typing import Literal
 
 from granflow.fields import PARTICLE_QUANTITIES, DeviceType
-from granflow.plan.capacities import BOUNDS, MIN_TRIANGLES, SCAN_BLOCK, WALL_BATCH, Capacities, rounded_capacity
+from granflow.plan.capacities import (
+    BOUNDS,
+    MIN_TRIANGLES,
+    SCAN_BLOCK,
+    SUBPARTS,
+    WALL_BATCH,
+    Capacities,
+    rounded_capacity,
+)
 from granflow.plan.chunk_sums import IMPULSE_SIZE, LOSSES
 from granflow.plan.plan import Plan
 
@@ -96,11 +104,10 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
     count, classes = (plan.capacities.particles,), (plan.capacities.size_classes,)
     cells, class_cells = plan.capacities.cells, plan.capacities.class_cells
     largest, by_class = max(cells, class_cells), bool(class_cells)
+    subparts, one_particle_chunks = (BOUNDS * SUBPARTS,), plan.chunk_size == 1
     return [
-        DeviceArray("cell", "i32", count, per_particle=True),
         DeviceArray("order", "i32", count, per_particle=True),
         DeviceArray("cell_start", "i32", (cells + 2,)),
-        DeviceArray("cell_fill", "i32", (largest + 2,)),
         DeviceArray("block_sum", "i32", (largest // SCAN_BLOCK + 2,)),
         DeviceArray("grid_low", "position", classes, 3),
         DeviceArray("cell_side", "position", classes, 3),
@@ -112,6 +119,9 @@ def cell_arrays(plan: Plan) -> list[DeviceArray]:
         DeviceArray("low", "position", (BOUNDS,), 3),
         DeviceArray("high", "position", (BOUNDS,), 3),
         DeviceArray("reach", "position", (BOUNDS,)),
+        DeviceArray("subpart_low", "position", subparts, 3, wanted=one_particle_chunks),
+        DeviceArray("subpart_high", "position", subparts, 3, wanted=one_particle_chunks),
+        DeviceArray("subpart_reach", "position", subparts, wanted=one_particle_chunks),
         DeviceArray("reach_largest", "position", (1,)),
         DeviceArray("cell_count", "i32", (classes[0] + 1,)),
         DeviceArray("present", "i32", (1,)),

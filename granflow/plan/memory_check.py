@@ -1,9 +1,9 @@
 """Compares the memory that a run needs with the available memory, before any array is allocated."""
 
 from granflow.errors import SceneError
-from granflow.io.gpu_memory import free_gpu_memory
 from granflow.io.machine import available_memory
-from granflow.plan.memory_estimate import estimate_memory
+from granflow.plan.capacities import Capacities
+from granflow.plan.memory_estimate import estimate_memory, largest_block
 from granflow.plan.plan import Plan
 
 RUNTIME = 100_000_000
@@ -14,9 +14,6 @@ HOST_PER_PARTICLE = 600
 
 MAX_LIST_ENTRIES = 2**31 - 1
 """Neighbor-list entries have 32-bit indices."""
-
-VULKAN_BUFFER = 2**32
-"""Largest Vulkan buffer [bytes]; all fields of a run are in one."""
 
 WARNED_SHARE = 0.8
 """Share of the available memory above which a warning appears: lists may grow, other processes need some."""
@@ -64,21 +61,39 @@ def refuse_without_memory(plan: Plan) -> None:
         raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
 
 
-def refuse_without_device_memory(plan: Plan, arch: str) -> None:
-    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or the largest buffer of Vulkan.
+def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or one of them the largest buffer.
 
-    arch:  "cuda" or "vulkan"; the free memory is known on CUDA only
+    free, largest_buffer:  [bytes]; None if unknown
     """
-    needed, is_vulkan = estimate_memory(plan, plan.precision).total, arch == "vulkan"
-    available = VULKAN_BUFFER if is_vulkan else free_gpu_memory()
-    if available is None or needed <= available:
-        return
-    limit = f"{available / 1e9:.3g} GB"
-    statement = f"but a Vulkan buffer has at most {limit}" if is_vulkan else f"but only {limit} are free"
-    sizes = f"{plan.particle_capacity} particles need about {needed / 1e9:.3g} GB on the GPU, {statement}"
+    total, longest = estimate_memory(plan, plan.precision).total, largest_block(plan, plan.capacities)
+    if free is not None and total > free:
+        raise _too_large(plan, total, free, f"{{needed}} on the GPU, but only {free / 1e9:.3g} GB are free")
+    if largest_buffer is not None and longest > largest_buffer:
+        statement = f"{{needed}} in one buffer, but this GPU allows at most {largest_buffer / 1e9:.3g} GB"
+        raise _too_large(plan, longest, largest_buffer, statement)
+
+
+def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU with longer neighbor lists do not fit.
+
+    available, largest_buffer:  [bytes], those of the present fields included; None if unknown
+    """
+    total, longest = estimate_memory(plan, plan.precision, grown).total, largest_block(plan, grown)
+    if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
+        entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
+        raise SceneError(
+            f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, because all "
+            f"fields need {total / 1e9:.3g} GB. Lower the count, or numerics.skin."
+        )
+
+
+def _too_large(plan: Plan, needed: int, available: int, statement: str) -> SceneError:
+    """The error for `needed` above `available` [bytes], with the number of particles that fits."""
+    sizes = f"{plan.particle_capacity} particles need about " + statement.format(needed=f"{needed / 1e9:.3g} GB")
     count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
     remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
-    raise SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
+    return SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
 
 
 def fits(plan: Plan) -> bool:

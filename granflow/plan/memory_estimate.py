@@ -1,7 +1,9 @@
 """Memory of the fields of a plan before allocation; a test compares it with the allocated memory."""
 
 from dataclasses import dataclass
+from itertools import groupby
 
+from granflow.plan.capacities import Capacities
 from granflow.plan.device_arrays import (
     Precision,
     cell_arrays,
@@ -36,13 +38,22 @@ class MemoryEstimate:
         return self.particles + self.neighbor_lists + self.cells + self.meshes + self.sums
 
 
-def estimate_memory(plan: Plan, precision: Precision) -> MemoryEstimate:
+def largest_block(plan: Plan, capacities: Capacities) -> int:
+    """Bytes of the largest array, or arrays that are interleaved entry by entry."""
+    arrays = [*particle_arrays(plan), *neighbor_arrays(plan, capacities), *cell_arrays(plan), *sum_arrays(plan)]
+    blocks = groupby(arrays, key=lambda array: array.block or array.name)
+    return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
+
+
+def estimate_memory(plan: Plan, precision: Precision, capacities: Capacities | None = None) -> MemoryEstimate:
     """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles.
+
+    capacities:  of the neighbor lists; None: those at the start
 
     >>> gf.estimate_memory(gf.plan_for(gf.load_scene("two.yaml")), "f64").total > 0
     True
     """
-    capacities = plan.capacities
+    capacities = capacities or plan.capacities
     lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
     particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)
     list_bytes = sum(each.size(precision) for each in lists if not each.per_particle)

@@ -1,7 +1,8 @@
 """Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the time step."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,13 @@ from granflow.contact.material import (
 from granflow.contact.model import SLOTS, ContactModel
 from granflow.errors import SceneError
 from granflow.load import Scene
-from granflow.plan.size_classes import diameter_range
+from granflow.plan.scene_parts import PlannedGroup
 from granflow.plan.time_step import PairCase
 from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
-from granflow.scene.schema.particles import Group
 from granflow.visible_text import alternatives
+
+PairMaterials = Mapping[tuple[str, str], PairMaterial]
+"""Mixed constants of two materials by their names in either order."""
 
 
 def active_models(scene: Scene) -> dict[str, ContactModel]:
@@ -48,25 +51,30 @@ def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
     return not model.pair_options or any(getattr(pair, option.key) for pair in pairs for option in model.pair_options)
 
 
-def build_laws(scene: Scene, velocity: float) -> ContactLaws:
-    """The contact laws of the scene.
+def build_laws(
+    scene: Scene,
+    groups: Sequence[PlannedGroup],
+    models: Mapping[str, ContactModel],
+    pairs: PairMaterials,
+    velocity: float,
+) -> ContactLaws:
+    """The contact laws of the scene from its active models.
 
     `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound theta^2 M
     of the unloading tangent refers to the mass of a sphere, also where M is that of a clump: eccentric contacts move
     less mass.
     """
-    unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, scene.particles.values())) ** 0.5
-    pairs = tuple(pair_material(scene, *key.split("-")) for key in scene.pairs)
+    materials = tuple(pairs[first, second] for first, second in (key.split("-") for key in scene.pairs))
+    unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, groups)) ** 0.5
     laws: dict[str, Any] = {}
-    radius_max = max(0.5 * diameter_range(group)[1] for group in scene.particles.values())
-    for slot, model in active_models(scene).items():
+    for slot, model in models.items():
         request = ModelRequest(
             scene.contact.options(slot),
-            pairs,
+            materials,
             velocity,
             unloading_angle,
             scene.output.energy_budget,
-            radius_max,
+            max(0.5 * group.diameters[1] for group in groups),
         )
         laws[slot] = model.law.from_scene(request)
     found = ContactLaws(**laws)
@@ -94,29 +102,32 @@ def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
     return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
 
 
-def solid(materials: Mapping[str, Material], material: str) -> Solid:
-    """Constants of one material of the scene.
-
-    Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio. Raises KeyError for an unknown material.
-    """
-    given = materials[material]
+def solid(given: Material) -> Solid:
+    """Constants of one material: Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio."""
     return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
 
 
-def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
+def pair_materials(
+    scene: Scene, models: Mapping[str, ContactModel], solids: Mapping[str, Solid]
+) -> dict[tuple[str, str], PairMaterial]:
+    """Mixed constants of each two materials that can come into contact, by their names in either order."""
+    both = [(first, second) for first in solids for second in solids if scene.pair_key(first, second) in scene.pairs]
+    return {(a, b): _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b]) for a, b in both}
+
+
+def _pair_material(
+    scene: Scene, models: Mapping[str, ContactModel], pair: MaterialPair, a: Solid, b: Solid
+) -> PairMaterial:
     """Mixed constants of two materials, symmetric under their exchange.
 
     The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
-    Raises KeyError if the scene has no such pair.
     """
-    pair, a, b = scene.pair(first, second), solid(scene.materials, first), solid(scene.materials, second)
     given = pair.restitution
     restitution: float | VelocityRestitution | None
     if isinstance(given, RestitutionFit):
         restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
     else:
         restitution = given
-    models = active_models(scene)
     surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
     options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_options()}
     return PairMaterial(
@@ -131,13 +142,7 @@ def pair_material(scene: Scene, first: str, second: str) -> PairMaterial:
     )
 
 
-def pair_materials(scene: Scene, materials: tuple[str, ...]) -> dict[tuple[str, str], PairMaterial]:
-    """Mixed constants of each two of the materials that can come into contact, by their names in either order."""
-    names = [(first, second) for first in materials for second in materials]
-    return {both: pair_material(scene, *both) for both in names if scene.pair_key(*both) in scene.pairs}
-
-
-def pair_table(scene: Scene, laws: ContactLaws, materials: tuple[str, ...]) -> np.ndarray:
+def pair_table(scene: Scene, laws: ContactLaws, pairs: PairMaterials, materials: tuple[str, ...]) -> np.ndarray:
     """Constants of each pair of materials (materials^2, constants); NaN for pairs without contacts.
 
     Row i * materials + j, columns as in `ContactLaws.constant_names`. Raises SceneError if a contact model does not
@@ -145,24 +150,25 @@ def pair_table(scene: Scene, laws: ContactLaws, materials: tuple[str, ...]) -> n
     """
     count = len(materials)
     table = np.full((count * count, sum(map(len, laws.constant_names.values()))), np.nan)
-    for i, first in enumerate(materials):
-        for j, second in enumerate(materials):
-            if scene.pair_key(first, second) in scene.pairs:
-                table[i * count + j] = _constants(scene, laws, first, second)
+    for row, both in enumerate(product(materials, materials)):
+        if both in pairs:
+            table[row] = _constants(scene, laws, pairs[both], both)
     return table
 
 
-def _constants(scene: Scene, laws: ContactLaws, first: str, second: str) -> tuple[float, ...]:
+def _constants(scene: Scene, laws: ContactLaws, pair: PairMaterial, materials: tuple[str, str]) -> tuple[float, ...]:
     """Row of the pair constants. Raises SceneError if the contact model cannot reach the restitution."""
     try:
-        return laws.pair_constants(pair_material(scene, first, second))
+        return laws.pair_constants(pair)
     except ValueError as error:
-        key = scene.pair_key(first, second)
+        key = scene.pair_key(*materials)
         location = scene.locate("pairs", key, "restitution")
         raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
 
 
-def pair_cases_of(scene: Scene) -> list[PairCase]:
+def pair_cases_of(
+    scene: Scene, groups: Sequence[PlannedGroup], solids: Mapping[str, Solid], pairs: PairMaterials
+) -> tuple[PairCase, ...]:
     """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
 
     A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
@@ -170,57 +176,54 @@ def pair_cases_of(scene: Scene) -> list[PairCase]:
     neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
     """
     pair_cases = []
-    groups = list(scene.particles.items())
     walls = dict.fromkeys(wall.material for wall in scene.walls.values())
-    for n, (name, group) in enumerate(groups):
-        for other_name, other in groups[n:]:
-            if not (group.fixed and other.fixed) and scene.pair_key(group.material, other.material) in scene.pairs:
-                pair = pair_material(scene, group.material, other.material)
+    for n, group in enumerate(groups):
+        for other in groups[n:]:
+            both = (group.material, other.material)
+            if not (group.fixed and other.fixed) and both in pairs:
                 mobile, partner = (other, group) if group.fixed else (group, other)
-                occurs = name != other_name or group.count > 1
-                key = scene.pair_key(group.material, other.material) if occurs else None
-                pair_cases.append(
-                    replace(_pair_case(scene, f"{name}-{other_name}", pair, mobile, partner), pair_key=key)
-                )
+                key = scene.pair_key(*both) if group is not other or group.count > 1 else None
+                case = _pair_case(f"{group.name}-{other.name}", pairs[both], solids, mobile, partner)
+                pair_cases.append(replace(case, pair_key=key))
         for wall in walls if not group.fixed else ():
-            pair, key = pair_material(scene, group.material, wall), scene.pair_key(group.material, wall)
-            pair_cases.append(replace(_pair_case(scene, f"{name}-{wall} wall", pair, group, None), pair_key=key))
+            pair, key = pairs[group.material, wall], scene.pair_key(group.material, wall)
+            case = _pair_case(f"{group.name}-{wall} wall", pair, solids, group, None)
+            pair_cases.append(replace(case, pair_key=key))
     if not pair_cases:
-        name, group = groups[0]
-        material_solid = solid(scene.materials, group.material)
-        elastic_pair = PairMaterial(
-            modulus_eff(material_solid, material_solid), shear_modulus_eff(material_solid, material_solid), 1.0, 0.0
-        )
-        pair_cases.append(_pair_case(scene, f"{name}-{name}", elastic_pair, group, group))
-    contacts = max(sum(group.count for _, group in groups) + len(scene.walls) - 1, 1)
-    return [replace(pair_case, contact_count=contacts) for pair_case in pair_cases]
+        group, own = groups[0], solids[groups[0].material]
+        elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
+        pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, solids, group, group))
+    contacts = max(sum(group.count for group in groups) + len(scene.walls) - 1, 1)
+    return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)
 
 
-def _pair_case(scene: Scene, name: str, pair: PairMaterial, group: Group, other: Group | None) -> PairCase:
+def _pair_case(
+    name: str, pair: PairMaterial, solids: Mapping[str, Solid], group: PlannedGroup, other: PlannedGroup | None
+) -> PairCase:
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
-    smallest, largest = (0.5 * diameter for diameter in diameter_range(group))
-    material_solid = solid(scene.materials, group.material)
-    mass, ratio = _sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
+    smallest, largest = (0.5 * diameter for diameter in group.diameters)
+    material_solid = solids[group.material]
+    mass, ratio = sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
         return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_smallest, other_largest = (0.5 * diameter for diameter in diameter_range(other))
+    other_smallest, other_largest = (0.5 * diameter for diameter in other.diameters)
     largest = min(largest, other_largest)
     if other.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
         return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
-    other_mass = _sphere_mass(other_smallest, solid(scene.materials, other.material).density)
+    other_mass = sphere_mass(other_smallest, solids[other.material].density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
     return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
 
 
-def _mass_ratio(group: Group | None) -> float:
+def _mass_ratio(group: PlannedGroup | None) -> float:
     """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
     if group is None or group.clump is None:
         return 1.0
-    return group.clump.shape.volume / _sphere_mass(0.5 * diameter_range(group)[0], 1.0)
+    return group.clump.volume / sphere_mass(0.5 * group.diameters[0], 1.0)
 
 
-def _sphere_mass(radius: float, density: float) -> float:
+def sphere_mass(radius: float, density: float) -> float:
     """Mass 4/3 pi R^3 rho [kg] of a sphere with radius [m] and density [kg/m3]."""
     return 4.0 / 3.0 * np.pi * radius**3 * density

@@ -23,6 +23,7 @@ from granflow.plan.capacities import (
     SHARE_AT_MESHES,
     SHARED_ROWS,
     Capacities,
+    history_share,
     near_triangles,
     neighbors_per_particle,
     rounded_capacity,
@@ -140,11 +141,12 @@ class Plan(Decisions):
         """Lengths of the device arrays at the start."""
         chunk_count = self.chunk_capacity
         segments = 1 if self.chunk_size == 1 else chunk_count
+        list_entries = segments * self.list_capacity_per_segment
         return Capacities(
             particles=rounded_capacity(self.particle_capacity, MIN_PARTICLES),
             segments=segments,
             chunks=rounded_capacity(chunk_count, MIN_CHUNKS),
-            list_entries=rounded_capacity(segments * self.list_capacity_per_segment, MIN_LIST_ENTRIES),
+            list_entries=rounded_capacity(list_entries, MIN_LIST_ENTRIES),
             cells=rounded_capacity(self.cell_capacity, MIN_CELLS),
             class_cells=rounded_capacity(self.class_cell_capacity, MIN_CELLS) if self.class_cell_capacity else 0,
             size_classes=rounded_capacity(len(self.size_classes), MIN_SIZE_CLASSES),
@@ -154,6 +156,7 @@ class Plan(Decisions):
             batch=MIN_BATCH,
             chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
             wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
+            history_share=history_share(self.particle_capacity, segments, list_entries),
         )
 
     @property

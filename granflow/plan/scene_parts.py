@@ -84,8 +84,9 @@ def planned_stages(scene: Scene) -> tuple[PlannedStage, ...]:
     for index, stage in enumerate(scene.schedule):
         key = "max_duration" if stage.duration is None else "duration"
         path = ("stages", index, key) if scene.stages else ("run", "duration")
-        longest = stage.duration or stage.max_duration or 0.0
         source = ".".join(map(str, path)), scene.locate(*path)
         until = tuple(StageCondition(each.quantity, each.above, each.below, each.hold) for each in stage.until)
-        stages.append(PlannedStage(stage.name, longest, stage.kinetic_energy_below, *source, until, stage.min_duration))
+        stages.append(
+            PlannedStage(stage.name, stage.longest, stage.kinetic_energy_below, *source, until, stage.min_duration)
+        )
     return tuple(stages)

@@ -35,11 +35,12 @@ def structure_of(plan: Plan) -> Hashable:
 
 def fits_lists(available: Capacities, needed: Capacities) -> bool:
     """True if arrays of equal structure hold the neighbor lists; lists that have grown hold more than needed."""
-    return available.list_entries >= needed.list_entries and available.batch >= needed.batch
+    lengths = [(each.list_entries, each.saved_entries, each.batch) for each in (available, needed)]
+    return all(length >= least for length, least in zip(*lengths, strict=True))
 
 
 def _without_lists(capacities: Capacities) -> Capacities:
-    return replace(capacities, segments=1, list_entries=0, batch=0)
+    return replace(capacities, segments=1, list_entries=0, batch=0, history_share=0.0)
 
 
 def _shear_axes(plan: Plan) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ LIST_TYPES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Lists that grow during a run, by key, with the types of the values of each entry."""
 
-SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "part")
+SAMPLE_ARRAYS = ("id", "mass", "position", "distance", "insertion_time", "part")
 """Arrays of the previous sample of a flow meter."""
 
 
@@ -96,13 +96,13 @@ def _check_plain(part: Part, template: Any) -> None:
 
 
 def _check_sample(part: Part) -> None:
-    """Check the previous sample of a flow meter: `id`, `mass`, `distance`, `part` (n,), `position` (n, 3)."""
+    """Check the previous sample of a flow meter: arrays (n,), `position` (n, 3)."""
     part.mapping(SAMPLE_ARRAYS)
     ids = part["id"].value
     count = len(ids) if isinstance(ids, np.ndarray) and ids.ndim == 1 else 0
     part["id"].distinct(count)
     part["part"].integers(count)
-    for name in ("mass", "distance"):
+    for name in ("mass", "distance", "insertion_time"):
         part[name].floats(count)
     part["position"].floats(count, 3)
 

@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from granflow.engine.accounting import SAVED_NUMBERS
+from granflow.engine.accounting import BY_ID, SAVED_NUMBERS
 from granflow.engine.checkpoint import CLOCKS
 from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, Part
@@ -162,11 +162,11 @@ def _check_clock_at_rebuild(clock: Part, steps: int) -> None:
 
 
 def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
-    """Check counts, masses [kg] and energies [J] of inserted and deleted particles, and material and group by id.
+    """Check counts, masses [kg] and energies [J] of inserted and deleted particles, and the arrays by id.
 
     `count`: particles present, which is the inserted minus the deleted number.
     """
-    accounting.mapping((*SAVED_NUMBERS, "outlets", "material", "group"))
+    accounting.mapping((*SAVED_NUMBERS, "outlets", *BY_ID))
     inserted = accounting["inserted_count"].integer(count, MOST_IDS)  # Python can remove particles and add others
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
@@ -176,6 +176,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
             each.number(0.0, LARGEST_REAL)
     accounting["material"].integers(inserted, high=len(plan.solids) - 1)
     accounting["group"].integers(inserted, high=len(plan.groups) - 1)
+    accounting["insertion_time"].floats(inserted)
 
 
 def _check_arrays(

@@ -34,7 +34,7 @@ def initial_state(
 
 def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> list[str]:
     """The warnings of the plan, and those about initial particles inside walls; `initial`: None for a resumed run."""
-    inside = [] if initial is None else particle_warnings(scene, plan.walls, initial)
+    inside = [] if initial is None else particle_warnings(scene, plan, initial)
     return [*plan.warnings, *inside]
 
 

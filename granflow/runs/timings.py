@@ -116,7 +116,9 @@ def log_plan(plan: Plan, engine: Engine, resumed: Checkpoint | None, warnings: I
     log = logging.getLogger("granflow")
     backend = engine.state.backend
     log.info("%s", versions())
-    log.info("%s with %s, compiled in %.3g s", backend.arch, backend.precision, engine.timing.compile)
+    count = backend.worker_count
+    threads = f", {count} thread{'s' if count > 1 else ''}" if backend.on_cpu else ""
+    log.info("%s with %s%s, compiled in %.3g s", backend.arch, backend.precision, threads, engine.timing.compile)
     for line in explain(plan).splitlines():
         log.info("%s", line)
     for warning in warnings:

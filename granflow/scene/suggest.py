@@ -81,7 +81,6 @@ SYNONYMS: dict[str, tuple[str, ...]] = {
     "paircoeff": ("pairs",),
     "pairstyle": ("contact",),
     "pour": ("rain",),
-    "radius": ("diameter",),
     "random": ("pack", "rain"),
     "rectangularwall": ("rectangle",),
     "rho": ("density",),

@@ -15,18 +15,22 @@ Impact = tuple[PairMaterial, float, float, float]
 """Arguments of contact models: pair of materials, effective radius [m] and mass [kg], approach velocity [m/s]."""
 
 
-def loading_path(plan: Plan, impact: Impact, steps: int = 4000) -> dict[str, float]:
+LOADING_STEPS = 4000
+"""Trapezoids of the loading work."""
+
+
+def loading_path(plan: Plan, impact: Impact) -> dict[str, float]:
     """Duration from the contact model; maximum overlap and force where the loading work equals the kinetic energy.
 
         int_0^dmax F dd = M v^2 / 2
 
-    The integral is a sum of trapezoids, `steps` of them in the loading time at the approach velocity; the last one is
-    interpolated.
+    The integral is a sum of trapezoids, LOADING_STEPS of them in the loading time at the approach velocity; the last
+    one is interpolated.
     """
     (pair, radius_eff, mass_eff, velocity), law = impact, plan.law
     loading, unloading = law.phase_durations(*impact)
     constants, history = np.array(law.pair_constants(pair)), np.zeros(max(law.history_count, 1))
-    moment = loading / steps
+    moment = loading / LOADING_STEPS
     step = velocity * moment
     overlap, force, force_before, energy = 0.0, 0.0, 0.0, 0.5 * mass_eff * velocity**2
     while energy > 0.0:

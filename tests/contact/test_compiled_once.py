@@ -16,6 +16,7 @@ from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount
 from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 from granflow.engine import backend
+from granflow.engine.kernel_cache import KERNELS
 
 
 def variants(model, number):
@@ -53,7 +54,7 @@ def evaluate(law):
 
 def test_models_with_other_numbers_add_no_compiled_kernel(tmp_path):
     in_subprocess(compile_models, 0.3, str(tmp_path))
-    compiled = {path.name for path in tmp_path.glob("*.tic")}
+    compiled = {path.name for path in tmp_path.glob(KERNELS)}
     assert len(compiled) >= len(RECORDS)
     in_subprocess(compile_models, 0.4, str(tmp_path))
-    assert {path.name for path in tmp_path.glob("*.tic")} == compiled
+    assert {path.name for path in tmp_path.glob(KERNELS)} == compiled

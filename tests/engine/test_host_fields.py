@@ -6,7 +6,9 @@ import pytest
 from granflow.engine import backend
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.host_fields import memory_of
-from granflow.kernel_language import ti
+from granflow.kernel_language import KERNELS, ti
+
+pytestmark = pytest.mark.skipif(KERNELS != "taichi", reason="views exist with Taichi only")
 
 SHAPES = {"number": (7,), "vector": (5, 3), "table": (4, 6), "vectors": (4, 6, 2), "matrices": (2, 3, 3, 3)}
 
@@ -19,7 +21,7 @@ def block(taichi_f64):
     block.column(block.parts(2), ti.f64, 24)
     fields |= {"vectors": block.vector(ti.f64, 4, 6, count=2), "matrices": block.matrix(ti.f64, 2, 3)}
     pair = ti.field(ti.f64), ti.Vector.field(2, ti.i32)
-    block._placed((9,), *pair)
+    block._placed((9,), 16, *pair)
     fields |= {"first": pair[0], "second": pair[1]}
     block.finish()
     yield block, fields

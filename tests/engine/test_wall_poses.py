@@ -3,7 +3,7 @@
 import numpy as np
 from scene_builders import SOFT, build_scene, particle_group, plane
 
-from granflow.engine import stepper
+from granflow.engine import wall_poses
 from granflow.plan.capacities import WALL_BATCH
 from granflow.simulation import Simulation
 
@@ -24,8 +24,8 @@ def simulation_on_a_shaken_floor():
 def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
     """300 steps with a snapshot after each 10 need the uploads of the start, and one per WALL_BATCH steps."""
     simulation, uploads = simulation_on_a_shaken_floor(), []
-    upload = stepper.upload_poses
-    monkeypatch.setattr(stepper, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step)))
+    upload = wall_poses.upload_poses
+    monkeypatch.setattr(wall_poses, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step)))
     for _ in range(30):
         simulation.step(10)
         simulation.snapshot(contacts=True)
@@ -40,7 +40,7 @@ def test_snapshot_at_any_pose_of_the_batch_is_bit_identical(taichi_f64):
     for steps in (1, 99, 155, 1):
         simulation.step(steps)
         found = simulation.snapshot(contacts=True)
-        simulation.engine.stepper.discard_poses()
+        simulation.engine.stepper.poses.discard()
         again = simulation.snapshot(contacts=True)
         assert len(found.contacts["overlap"]) == 1
         assert found.totals == again.totals

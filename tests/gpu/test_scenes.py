@@ -1,8 +1,10 @@
 """Runs on Vulkan agree with the CPU to rounding, and repeat bit for bit.
 
 Vulkan drivers reassociate sums and products, see `test_canaries`, so that forces are rounded differently. The deviation
-from the CPU is limited by that of a run on the CPU with a modulus that is larger by a few roundings, and with units of
-the exact sums that are twice as large: where particle sizes differ, contacts of small particles are rounded to these.
+from the CPU is limited by that of two runs on the CPU with a modulus that is larger, or smaller, by a few roundings,
+and with units of the exact sums that are twice as large: where particle sizes differ, contacts of small particles are
+rounded to these. One run can underestimate the deviation sixfold: with the model luding in f32, the positions of three
+larger moduli deviate by 4.2, 4.6 and 13 roundings, of two smaller ones by 27 and 29, on Vulkan by 60.
 """
 
 import numpy as np
@@ -12,15 +14,16 @@ from gpu.scenes import QUICK, SCENES, shaken_box
 from scene_builders import run_to_end
 from subprocess_runner import in_subprocess
 
+from granflow.engine import vulkan_devices
 from granflow.plan import sum_units
 
 pytestmark = pytest.mark.gpu
 
 ARRAYS = ("position", "velocity", "angular_velocity")
 MARGIN = 10.0
-"""Largest deviation in those of the disturbed run."""
+"""Largest deviation in those of the disturbed runs."""
 ROUNDINGS = 8.0
-"""Relative increase of the modulus, in units of the precision."""
+"""Relative change of the modulus, in units of the precision."""
 EPSILON = {"f32": 2.0**-23, "f64": 2.0**-52}
 
 
@@ -39,9 +42,9 @@ def state_after(scene, arch, precision):
 
 
 def states(names, folder, arch, precision, disturbance=0.0):
-    """The final state of each scene; `disturbance`: relative increase of the modulus, with larger units if not 0."""
+    """The final state of each scene; `disturbance`: relative change of the modulus, with larger units if not 0."""
     scene_builders.SOFT["young_modulus"] *= 1.0 + disturbance
-    sum_units.FORCE_BITS -= int(disturbance > 0.0)
+    sum_units.FORCE_BITS -= int(disturbance != 0.0)
     return {name: state_after(SCENES[name](folder), arch, precision) for name in names}
 
 
@@ -49,10 +52,11 @@ def worst_deviation(cpu, disturbed, gpu, precision):
     """Largest deviation of any array from the CPU, relative to the allowed one."""
     found = []
     for name, values in cpu["arrays"].items():
-        arrays = (values, disturbed["arrays"][name], gpu["arrays"][name])
-        one, other, here = (np.array(array, dtype=float) for array in arrays)
+        others = [np.array(each["arrays"][name], dtype=float) for each in disturbed]
+        one, here = (np.array(array, dtype=float) for array in (values, gpu["arrays"][name]))
         if one.size:
-            allowed = MARGIN * (np.abs(other - one).max() + EPSILON[precision] * np.abs(one).max())
+            deviation = max(np.abs(other - one).max() for other in others)
+            allowed = MARGIN * (deviation + EPSILON[precision] * np.abs(one).max())
             found.append(float(np.abs(here - one).max() / allowed) if allowed else float(np.abs(here).max()))
     return max(found)
 
@@ -60,12 +64,15 @@ def worst_deviation(cpu, disturbed, gpu, precision):
 def assert_agreement(names, folder, precision):
     arguments = (list(names), str(folder))
     cpu = in_subprocess(states, *arguments, "cpu", precision, seconds=900)
-    disturbed = in_subprocess(states, *arguments, "cpu", precision, ROUNDINGS * EPSILON[precision], seconds=900)
+    disturbances = (ROUNDINGS * EPSILON[precision], -ROUNDINGS * EPSILON[precision])
+    disturbed = [in_subprocess(states, *arguments, "cpu", precision, each, seconds=900) for each in disturbances]
     gpu = in_subprocess(states, *arguments, "vulkan", precision, seconds=900)
     for name in names:
         assert cpu[name]["contacts"] or cpu[name]["rebuilds"] > 2
         assert all(gpu[name][key] == cpu[name][key] for key in ("ids", "steps")), name
-    found = {name: worst_deviation(cpu[name], disturbed[name], gpu[name], precision) for name in names}
+    found = {
+        name: worst_deviation(cpu[name], [each[name] for each in disturbed], gpu[name], precision) for name in names
+    }
     assert max(found.values()) <= 1.0, found
 
 
@@ -80,6 +87,19 @@ def test_scenes_agree_with_the_cpu_in_f64(vulkan, tmp_path):
 @pytest.mark.parametrize("name", SCENES)
 def test_each_scene_agrees_with_the_cpu(vulkan, tmp_path, name, precision):
     assert_agreement([name], tmp_path, precision)
+
+
+def state_in_small_trees(folder, tree_size):
+    """Final state of the scene with the model zhou, with trees of at most this number of bytes."""
+    vulkan_devices.ADDRESSED = tree_size
+    return state_after(SCENES["law zhou"](folder), "vulkan", "f64")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_fields_in_several_buffers_have_the_bits_of_those_in_one(vulkan, tmp_path):
+    one, several = (in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 18))
+    assert one["contacts"] and one == several
 
 
 def long_run(arch, precision):

@@ -8,6 +8,7 @@ from scene_builders import build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.parallel.rank_engine import RankEngine
+from granflow.runs import ranks
 from granflow.runs.ranks import refuse_on_ranks
 
 
@@ -20,6 +21,14 @@ def scene_with(changes):
 def test_a_gpu_is_refused():
     with pytest.raises(GranflowError, match="--arch vulkan does not work with --mpi"):
         refuse_on_ranks("vulkan")
+
+
+def test_another_kernel_language_is_refused_by_check(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(ranks, "KERNELS", "quadrants")
+    path = scene_with({}).save(tmp_path / "scene.yaml")
+    assert main(["check", str(path), "--mpi"]) == 2
+    assert "GRANFLOW_KERNELS=quadrants does not work with --mpi: unset GRANFLOW_KERNELS." in capsys.readouterr().err
+    assert main(["check", str(path)]) == 0
 
 
 def test_forces_from_python_are_refused():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from observers.snapshots import particles_of, snapshot_of
 from scipy.special import erf
+from scipy.stats import truncnorm
 
 from granflow.fields import FIELD_QUANTITIES
 from granflow.observers.coarse_graining.accumulation import accumulate, fields_from
@@ -137,7 +138,7 @@ def test_velocity_and_temperature_of_uniform_shear():
 
         T = rate^2 (s^2 + h^2 / 12) / 3
 
-    s^2 is the variance of the kernel and h the edge length of a cell.
+    s^2 is the variance of the kernel, a normal distribution within 3 widths, and h the edge length of a cell.
     """
     rate, side = 5.0, 24
     y = (np.arange(side) + 0.5) / side
@@ -150,7 +151,8 @@ def test_velocity_and_temperature_of_uniform_shear():
     fields = fields_from(accumulate(particles, None, grid, kernel))
     # A lattice of spacing a differs from a continuum by exp(-2 pi^2 w^2 / a^2) and by the step at the cutoff: 0.2 %.
     np.testing.assert_allclose(fields["velocity"][:, 0], rate * grid.centers()[:, 1], rtol=2e-3)
-    expected = rate**2 * (kernel.variance + grid.cell_size[1] ** 2 / 12.0) / 3.0
+    variance = 0.1**2 * truncnorm(-3.0, 3.0).var()
+    expected = rate**2 * (variance + grid.cell_size[1] ** 2 / 12.0) / 3.0
     np.testing.assert_allclose(fields["granular_temperature"], expected, rtol=1e-2)
     assert "contact_stress" not in fields
 

@@ -8,13 +8,17 @@ from granflow.observers.flow_meters import FlowMeter, steady_flow
 
 
 def measured(meter, *samples):
-    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and count."""
+    """Updates the meter with samples {id: position} at times 0, 1, 2, ...; returns mass (2^id [kg] each) and count.
+
+    Particle i was inserted at -i / 2 [s].
+    """
     for time, particles in enumerate(samples):
         ids = sorted(particles)
         arrays = {
             "id": np.array(ids, dtype=np.int64),
             "position": np.array([particles[i] for i in ids], dtype=float).reshape(-1, 3),
             "mass": np.array([2.0**i for i in ids]),
+            "insertion_time": np.array([-0.5 * i for i in ids]),
         }
         meter.update(snapshot_of(time=float(time), particles=arrays))
     return meter.total.mass, meter.total.count
@@ -97,7 +101,7 @@ def test_group_by_material_counts_each_material():
         ids = np.array(sorted(heights))
         arrays = {
             "id": ids, "position": np.array([[0.0, 0.0, heights[i]] for i in ids]), "mass": 2.0**ids,
-            "material": ids % 2,
+            "material": ids % 2, "insertion_time": np.zeros(len(ids)),
         }  # fmt: skip
         meter.update(snapshot_of(time=time, particles=arrays))
 
@@ -112,10 +116,34 @@ def test_group_by_material_counts_each_material():
         update(first, *sample)
     resumed.load_state_dict(first.state_dict())
     update(resumed, *samples[2])
-    assert uninterrupted.state_dict()["tallies"] == resumed.state_dict()["tallies"], (
-        "a resumed meter has the counts of an uninterrupted one"
-    )
+    np.testing.assert_equal(resumed.state_dict()["tallies"], uninterrupted.state_dict()["tallies"])
     assert (uninterrupted.total.mass, uninterrupted.total.count) == (1.0 + 2.0 + 4.0 + 8.0, 4)
-    assert list(uninterrupted.parts["glass"].readings().values()) == [5.0, 2, 0.0]
-    assert list(uninterrupted.parts["steel"].readings().values()) == [10.0, 2, 2.0]
+    np.testing.assert_equal(list(uninterrupted.parts["glass"].readings().values()), [5.0, 2, 0.0, np.nan])
+    np.testing.assert_equal(list(uninterrupted.parts["steel"].readings().values()), [10.0, 2, 2.0, 1.5])
     assert sum(tally.mass for tally in uninterrupted.parts.values()) == uninterrupted.total.mass
+
+
+def test_residence_time_is_that_of_forward_passages_at_the_middle_of_the_interval():
+    """Particles 0, 2 and 3 pass between 0 and 1 s, at 0.5 s; 1 passes backward, and 4 is deleted between 1 and 2 s."""
+    meter = down()
+    above, below = (0, 0, 2), (0, 0, 0)
+    measured(
+        meter, {0: above, 1: below, 2: above, 3: above, 4: above}, {0: below, 1: above, 2: below, 3: below, 4: above}
+    )
+    times = np.array([0.5, 1.5, 2.0])
+    assert meter.total.readings()["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
+    saved = meter.state_dict()
+    meter = down()
+    meter.load_state_dict(saved)
+    meter.update(snapshot_of(2.0, particles={name: values[:4] for name, values in vars(meter._last).items()}))
+    times = np.append(times, 1.5 + 0.5 * 4)
+    assert meter.total.readings()["residence_time"] == pytest.approx(3.5, rel=1e-15)
+    result = meter.total.result()
+    assert result["residence_time"] == pytest.approx(times.mean(), rel=1e-15)
+    assert result["residence_time_deviation"] == pytest.approx(times.std(), rel=1e-12)
+
+
+def test_residence_time_without_passages_is_nan():
+    meter = down()
+    measured(meter, {0: (0, 0, 2)}, {0: (0, 0, 2)})
+    assert np.isnan([meter.total.readings()["residence_time"], meter.total.result()["residence_time_deviation"]]).all()

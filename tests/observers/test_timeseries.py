@@ -43,12 +43,14 @@ def test_flow_meters_have_columns(tmp_path):
     assert series.wants == {"totals", "particles"}
     for time, height in ((0.0, 1.0), (0.5, -1.0)):
         particles = {"id": np.array([4]), "position": np.array([[0, 0, height]]), "mass": np.array([3.0])}
+        particles["insertion_time"] = np.array([0.125])
         series.observe(snapshot_of(time=time, particles=particles, totals={}))
     series.finish()
     header, first, last = rows_of(series.path)
-    assert header[2:] == ["flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]"]
-    assert first[2:] == ["0.0", "0", "0.0"]
-    assert last[2:] == ["3.0", "1", "6.0"]
+    names = ["flow_mass.outlet [kg]", "flow_count.outlet", "mass_flow.outlet [kg/s]", "residence_time.outlet [s]"]
+    assert header[2:] == names
+    assert first[2:] == ["0.0", "0", "0.0", "nan"]
+    assert last[2:] == ["3.0", "1", "6.0", "0.125"]
     assert series.results_by_kind()["flow_meters"]["outlet"]["flow_count"] == 1
 
 

@@ -46,6 +46,22 @@ def test_particles_are_read_back_exactly(tmp_path, count):
         assert values.dtype == PARTICLE_QUANTITIES[name].file_type
 
 
+@pytest.mark.parametrize("count", [0, 3])
+def test_field_data_state_the_unit_of_each_array(tmp_path, count):
+    """Dimensionless arrays have none; histories of contact models have the unit of their declaration."""
+    contacts = contacts_of(count) | {"overlap_max": np.ones(count)}
+    ContactFrames(tmp_path, 0.1, history_units={"overlap_max": "m"}).observe(snapshot_of(contacts=contacts))
+    ParticleFrames(tmp_path, 0.1).observe(snapshot_of(particles=particles_of(3)))
+    stated = {
+        "particles": "radius [m], diameter [m], velocity [m/s], angular_velocity [rad/s], force [N], "
+        "kinetic_energy [J]",
+        "contacts": "force [N], normal_force [N], tangential_force [N], overlap [m], overlap_max [m]",
+    }
+    for stem, names in stated.items():
+        read = meshio.read(tmp_path / f"{stem}_0000.vtu")
+        assert set(read.field_data) == set(names.split(", ")), stem
+
+
 @pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
 def test_positions_use_f64_only_if_f32_does_not_resolve_the_smallest_particle(tmp_path, reach, radius, file_type):
     snapshot = snapshot_of(particles=particles_of(9, radius=np.full(9, radius)))

@@ -116,9 +116,9 @@ def oblique(diameter, material, restitution, friction, normal_velocity, tangenti
 def test_sliding_impact_of_a_small_ball_follows_the_closed_form(taichi_f64):
     """Test 5: if the contact slides throughout, Vs'/(mu Vn') = Vs/(mu Vn) - 7 and r w'/(mu Vn) = -5 (e = 1).
 
-    These values hold for a lever arm r. Here the lever arm is r minus the overlap, whose mean over the impulse of a
-    Hertz contact is int F d dt / int F dt = dmax int_0^1 sqrt(1 - u^2.5) du = dmax eta1 / 1.8: 0.5 % of r at this
-    speed.
+    These values hold for a lever arm r. Here the lever arm is r minus half of the overlap, whose mean over the impulse
+    of a Hertz contact is int F d dt / int F dt = dmax int_0^1 sqrt(1 - u^2.5) du = dmax eta1 / 1.8: 0.5 % of r at
+    this speed.
     """
     friction, speed, radius = 0.3, 5.0, 1e-5
     ratio = np.array([8.0, 10.0, 14.0, 20.0])
@@ -126,7 +126,7 @@ def test_sliding_impact_of_a_small_ball_follows_the_closed_form(taichi_f64):
     last = run_and_sample(scene, 1.0, until=4.5e-8)[-1].particles
     k = theory.hertz_stiffness(STEEL["young_modulus"] / (1.0 - STEEL["poisson_ratio"] ** 2), radius)
     overlap_max = theory.overlap_max(k, last["mass"][0], speed)
-    arm = 1.0 - theory.LOADING_DURATION / 1.8 * overlap_max / radius
+    arm = 1.0 - 0.5 * theory.LOADING_DURATION / 1.8 * overlap_max / radius
     slip = last["velocity"][:, 0] - radius * last["angular_velocity"][:, 1]
     np.testing.assert_allclose(last["velocity"][:, 2], speed, rtol=1e-4)
     np.testing.assert_allclose(radius * last["angular_velocity"][:, 1] / (friction * speed), 5.0 * arm, rtol=1e-3)

@@ -6,6 +6,7 @@ import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
 
+import granflow
 from granflow.contact import theory
 
 GRAVITY = 9.81
@@ -104,3 +105,25 @@ def test_two_stacked_spheres_between_walls_follow_their_equations_of_motion(taic
     amplitude = np.ptp(exact.y[:2], axis=1)
     assert np.all(amplitude > 5e-6)
     np.testing.assert_allclose((height - exact.y[:2]) / amplitude[:, None], 0.0, atol=1e-3)
+
+
+def test_residence_time_of_an_inlet_is_the_time_to_the_flow_meter(taichi_f64, tmp_path):
+    """Without gravity, particles of 4 mm start within two diameters behind the face with 0.5 m/s; the meter is 0.2 m
+    from it. A passage is known to half the interval of the rows."""
+    speed, distance, diameter, interval = 0.5, 0.2, 0.004, 0.01
+    face = {"disc": {"center": [0, 0, 0], "normal": [0, 0, -1], "radius": 0.03}}
+    feed = {
+        "material": "glass", "diameter": diameter, "count": 40, "velocity": [0, 0, -speed],
+        "insert": {"kind": "inlet", "face": face, "rate": 100.0},
+    }  # fmt: skip
+    scene = build_scene(
+        {"feed": feed}, gravity=[0, 0, 0], run={"duration": 0.9, "velocity_max": 1.0},
+        output={"interval": interval, "flow_meters": {"out": {"point": [0, 0, -distance], "normal": [0, 0, -1]}}},
+        domain=cubic_domain(0.5),
+    )  # fmt: skip
+    with granflow.Simulation(scene, out=tmp_path) as simulation:
+        found = simulation.run().flow_meters["out"]
+    assert found["flow_count"] == 40
+    latest = distance / speed + interval / 2
+    assert latest - 2 * diameter / speed - interval < found["residence_time"] < latest
+    assert 0 < found["residence_time_deviation"] < 2 * diameter / speed + interval

@@ -7,7 +7,6 @@ import pytest
 from scene_builders import SOFT, box, build_scene, column, particle_group, run_and_sample, run_to_end
 
 from granflow.plan.build import plan_for
-from granflow.plan.pair_cases import pair_cases_of
 
 RADIUS, FIXED_RADIUS, SPEED = 0.005, 0.008, 0.7
 MASS = 4.0 / 3.0 * pi * RADIUS**3 * SOFT["density"]
@@ -45,13 +44,15 @@ def test_fixed_particle_acts_as_an_infinite_mass(taichi_f64):
 def test_pair_cases_of_fixed_particles_use_the_mobile_mass():
     """The time step uses the mass of the mobile particle and both radii; fixed particles form no pair case."""
     scene = head_on()
-    pair_cases = {pair.name: pair for pair in pair_cases_of(scene)}
+    pair_cases = {pair.name: pair for pair in plan_for(scene).pair_cases}
     assert list(pair_cases) == ["mobile-mobile", "mobile-rough"]
     found = pair_cases["mobile-rough"]
     assert found.mass_eff == pytest.approx(MASS)
     assert found.radius_eff == pytest.approx(RADIUS * FIXED_RADIUS / (RADIUS + FIXED_RADIUS))
     reversed_order = build_scene({name: head_on().particles[name].model_dump() for name in ("rough", "mobile")})
-    assert {pair.mass_eff for pair in pair_cases_of(reversed_order)} == {each.mass_eff for each in pair_cases.values()}
+    assert {pair.mass_eff for pair in plan_for(reversed_order).pair_cases} == {
+        each.mass_eff for each in pair_cases.values()
+    }
     assert plan_for(scene).features.fixed_particles
 
 

@@ -216,7 +216,7 @@ def test_initial_particles_inside_walls_are_reported():
     inside = particle_group([[0.0, 0.0, 0.05], [0.0, 0.0, 0.003], [0.0, 0.0, 0.0049]])
     scene = build_scene({"balls": inside}, walls={"floor": plane([0, 0, 0], [0, 0, 1])})
     plan = plan_for(scene)
-    (warning,) = particle_warnings(scene, plan.walls, initial_particles(scene))
+    (warning,) = particle_warnings(scene, plan, initial_particles(scene))
     assert (
         "1 of 3 particles are inside walls.floor at the start, by up to 0.4 of the radius, at [0, 0, 0.003] m"
         in warning
@@ -244,7 +244,7 @@ def test_largest_overlap_is_that_of_small_particles_with_large_ones():
     small, large = particle_group([[0, 0, 0.1]], 0.002), particle_group([[0, 0, 0.2]], 0.02)
     scene = build_scene({"small": small, "large": large}, run={"duration": 0.1, "velocity_max": 1.0})
     plan = plan_for(scene)
-    overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(scene)}
+    overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(plan)}
     assert set(overlaps) == {"particles of small and large"} and np.isfinite(list(overlaps.values())).all()
 
 

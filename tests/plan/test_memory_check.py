@@ -2,7 +2,6 @@
 
 import os
 import re
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +10,9 @@ from plan.scenes import TEXT, line_of
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
+from granflow.engine import device_memory
+from granflow.engine.device_memory import free_device_memory
+from granflow.engine.vulkan_devices import VulkanDevice
 from granflow.errors import SceneError
 from granflow.load import load
 from granflow.plan import memory_check
@@ -93,30 +95,65 @@ def test_check_warns_and_places_no_particles_that_do_not_fit(machine, tmp_path, 
 
 
 NVIDIA_SMI = """#!/bin/sh
-test "$1" = --id=3 && echo "{free}"
+test "$1" = --id=3 && echo 7
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell script stands for nvidia-smi")
-def test_run_on_a_gpu_that_does_not_fit_is_rejected(tmp_path, monkeypatch):
+def test_free_memory_of_cuda_is_that_of_the_first_visible_gpu(tmp_path, monkeypatch):
     """nvidia-smi prints MiB; the GPU is the first in CUDA_VISIBLE_DEVICES."""
-    plan, program = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True), tmp_path / "nvidia-smi"
-    needed = memory_check.estimate_memory(plan, plan.precision).total
+    program = tmp_path / "nvidia-smi"
+    program.write_text(NVIDIA_SMI)
+    program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,1")
-    for free, fits in ((needed // 2**20 + 1, True), (needed // 2**20 - 1, False)):
-        program.write_text(NVIDIA_SMI.format(free=free))
-        program.chmod(0o755)
-        with nullcontext() if fits else pytest.raises(SceneError, match=r"GB on the GPU, but only .* are free: lower"):
-            memory_check.refuse_without_device_memory(plan, "cuda")
+    assert free_device_memory("cuda") == 7 * 2**20
     program.unlink()
-    memory_check.refuse_without_device_memory(plan, "cuda")  # unknown
+    assert free_device_memory("cuda") is None
 
 
-def test_run_beyond_a_vulkan_buffer_is_rejected(tmp_path):
-    memory_check.refuse_without_device_memory(plan_for(load(lattice(tmp_path, 100_000)), on_gpu=True), "vulkan")
-    with pytest.raises(SceneError, match=r"but a Vulkan buffer has at most 4\.29 GB: lower the count to about "):
-        memory_check.refuse_without_device_memory(plan_for(load(lattice(tmp_path, 30_000_000)), on_gpu=True), "vulkan")
+def test_free_memory_of_vulkan_is_that_of_the_gpu(monkeypatch):
+    devices = [VulkanDevice("llvmpipe", "Mesa", on_cpu=True, free=5), VulkanDevice("A100", "NVIDIA", False, free=7)]
+    monkeypatch.setattr(device_memory, "vulkan_devices", lambda: devices)
+    assert free_device_memory("vulkan") == 7
+    monkeypatch.setattr(device_memory, "vulkan_devices", lambda: [])
+    assert free_device_memory("vulkan") is None
+
+
+def fitting_count(error):
+    return int(re.search(r"lower the count to about (\d+) or set run.precision to mixed\.$", str(error.value))[1])
+
+
+def test_run_on_a_gpu_that_does_not_fit_is_rejected_with_a_count_that_fits(tmp_path):
+    plan = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True)
+    needed = memory_check.estimate_memory(plan, plan.precision).total
+    memory_check.refuse_without_device_memory(plan, needed, None)
+    memory_check.refuse_without_device_memory(plan, None, None)  # unknown
+    with pytest.raises(SceneError, match=r"GB on the GPU, but only .* are free: lower") as error:
+        memory_check.refuse_without_device_memory(plan, needed - 1, None)
+    fitting = plan_for(load(lattice(tmp_path, fitting_count(error))), on_gpu=True)
+    memory_check.refuse_without_device_memory(fitting, needed - 1, None)
+
+
+def test_array_above_the_largest_buffer_is_rejected_with_a_count_that_fits(tmp_path):
+    plan = plan_for(load(lattice(tmp_path, 30_000_000)), on_gpu=True)
+    assert memory_check.estimate_memory(plan, "f64").total > 3 * 2**32, "in several buffers"
+    with pytest.raises(SceneError, match=r"in one buffer, but this GPU allows at most 4\.29 GB: lower") as error:
+        memory_check.refuse_without_device_memory(plan, None, 2**32)
+    fitting = plan_for(load(lattice(tmp_path, fitting_count(error))), on_gpu=True)
+    memory_check.refuse_without_device_memory(fitting, None, 2**32)
+    assert memory_check.estimate_memory(fitting, "f64").total > 2**32
+
+
+def test_neighbor_lists_that_no_longer_fit_into_a_gpu_are_rejected(tmp_path):
+    plan = plan_for(load(lattice(tmp_path, 300_000)), on_gpu=True)
+    grown = plan.capacities.grown(2 * plan.capacities.list_entries, 0)
+    needed = memory_check.estimate_memory(plan, "f64", grown).total
+    assert needed > memory_check.estimate_memory(plan, "f64").total
+    memory_check.refuse_growth(plan, grown, needed, None)
+    for available, largest in ((needed - 1, None), (None, needed // 10)):
+        with pytest.raises(SceneError, match=r"no longer fit into the memory of the GPU, because all fields need"):
+            memory_check.refuse_growth(plan, grown, available, largest)
 
 
 def test_counts_above_the_id_limit_are_rejected_on_any_machine(tmp_path, capsys):

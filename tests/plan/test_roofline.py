@@ -23,7 +23,7 @@ def test_traffic_of_elastic_spheres_is_that_counted_by_hand():
     plan = gas_plan()
     integration, forces = 24 * 4 + 8 * 3 + 24 * 2, 24 * 2 + 8 * 2 + 24
     lists, rebuild_lists = 4 * (3 + 9 * 2), 4 * (8 + 9 * 4 + 6 * 4)
-    all_fields = estimate_memory(plan, "f64").per_particle - 5 * 4  # without list ranges, cell and order
+    all_fields = estimate_memory(plan, "f64").per_particle - 4 * 4  # without list ranges and order
     expected = integration + forces + lists + (4 * all_fields + rebuild_lists) / 50
     assert bytes_per_particle_step(plan, "f64") == pytest.approx(expected)
 

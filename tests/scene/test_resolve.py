@@ -1,5 +1,6 @@
 """Resolved scenes: counts derived from mass or duration, particles from files, and scaled scenes."""
 
+import re
 from math import pi
 
 import numpy as np
@@ -58,6 +59,30 @@ def test_count_is_derived_from_mass_or_duration(tmp_path, amount, insertion, cou
     scene = scene_with(tmp_path, f"    {amount}\n    diameter: 4 mm\n    insert: {{{insertion}, {REGION}}}\n")
     assert scene.particles["beads"].count == plan_for(scene).particle_capacity == count
     assert scene_of(scene.to_yaml(), "as run").particles == scene.particles, "resolving is idempotent"
+
+
+def test_radius_is_half_the_diameter(tmp_path):
+    by_radius = scene_with(tmp_path, f"    count: 9\n    radius: 2 mm\n    insert: {{kind: pack, {REGION}}}\n")
+    by_diameter = scene_with(tmp_path, f"    count: 9\n    diameter: 4 mm\n    insert: {{kind: pack, {REGION}}}\n")
+    beads = by_radius.particles["beads"]
+    assert beads.sizes == by_diameter.particles["beads"].sizes == 0.004
+    assert scene_of(by_radius.to_yaml(), "as run").particles == by_radius.particles
+    rows = "insert: {kind: positions, positions: [[0, 0, 0.01], [0, 0, 0.02]]}\n"
+    assert scene_with(tmp_path, f"    radius: [1 mm, 2 mm]\n    {rows}").particles["beads"].sizes == (0.002, 0.004)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "insertion", "problem"),
+    [
+        ("radius: 2 mm\n    diameter: 4 mm", "kind: pack", "radius is 2 mm, but diameter is given too"),
+        ("radius: -2 mm", "kind: pack", "radius is -2 mm, but a radius must be above 0"),
+        ("radius: [1 mm, 2 mm]", "kind: pack", "radius is a list, which requires insert: {kind: positions}"),
+        ("", "kind: pack", "diameter is missing"),
+    ],
+)
+def test_sizes_are_given_once(tmp_path, sizes, insertion, problem):
+    with pytest.raises(SceneError, match=re.escape(problem)):
+        scene_with(tmp_path, f"    count: 9\n    {sizes}\n    insert: {{{insertion}, {REGION}}}\n")
 
 
 @pytest.mark.parametrize("sizes", [UNIFORM, CLASSES])

@@ -29,7 +29,6 @@ SCENES = Path(__file__).parents[2] / "scenes"
         ("contact.rolling=epsd2", "Did you mean epsd?"),
         ("contact.normal=hooke/hysteresis", "Did you mean luding?"),
         ("contact.normal=jkr", "jkr is given as contact.cohesion: jkr"),
-        ("particles.beads.radius=2 mm", "Did you mean diameter?"),
         ("pairs.glass-glass={restitution: 0.9, friction: 0,3}", "Numbers have a decimal point, not a comma"),
     ],
 )

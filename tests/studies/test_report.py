@@ -41,7 +41,7 @@ ROWS = [
 ]
 LOG = """\
 2026-01-02 03:04:05,678 INFO granflow: granflow 0.1.0, taichi 1.7.4, Python 3.11
-2026-01-02 03:04:05,678 INFO granflow: cpu with f64, compiled in 1.5 s
+2026-01-02 03:04:05,678 INFO granflow: cpu with f64, 2 threads, compiled in 1.5 s
 2026-01-02 03:04:05,678 INFO granflow: Two <beads> (two.yaml)
 2026-01-02 03:04:05,678 INFO granflow:   friction  off  every pair has friction 0
 2026-01-02 03:04:06,000 WARNING granflow: too fast

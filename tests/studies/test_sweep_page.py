@@ -16,8 +16,8 @@ from granflow.studies.calibration.results import result_of, write_result
 from granflow.studies.run_processes.outcome import ABORTED, Outcome, final_outcome, write_outcome
 from granflow.studies.sweep.axes import short_names
 from granflow.studies.sweep.design import design_points
-from granflow.studies.sweep.page import write_sweep_page
-from granflow.studies.sweep.plots import heat_maps
+from granflow.studies.sweep.page import with_error, write_sweep_page
+from granflow.studies.sweep.plots import heat_maps, in_lines, main_effects, parallel_coordinates, scatter_matrix
 from granflow.studies.sweep.schema import SweepInput
 from granflow.studies.sweep.sensitivity import sobol_indices
 from granflow.studies.sweep.series_overlay import NamedRun, series_overlay
@@ -99,6 +99,39 @@ def test_page_of_a_sweep_has_degrees_and_the_units_of_the_sweep_file(tmp_path):
     assert all(f">{head} [deg]</th>" in page for head in ("a.x", "angle_of_repose.left"))
     assert table.columns()["angle_of_repose.left [rad]"] == [0.4]
     assert table.columns()["a.x"] == [pytest.approx(0.3490658503988659)]
+
+
+def test_parameters_on_a_logarithmic_scale_have_logarithmic_axes_and_intervals(tmp_path):
+    sweep, table = swept(tmp_path, vary={"a.x": {"from": 0.01, "to": 1.0, "scale": "log", "count": 17},
+                                         "a.y": [0.0], "b.z": [1.0]})  # fmt: skip
+    found = shown(sweep, table)
+    figure = main_effects(found, "mass_flow.out").figure
+    assert figure["layout"]["xaxis"]["type"] == "log"
+    assert "type" not in figure["layout"]["xaxis2"]
+    means = figure["data"][1]["x"]  # of two of the 17 values each, the last of three
+    np.testing.assert_allclose(means[:7], 10.0 ** (-2.0 + 0.125 * (2.0 * np.arange(7) + 0.5)), rtol=1e-4)
+    assert means[7] == pytest.approx(10.0 ** (-2.0 + 0.125 * 15.0), rel=1e-4)
+    layout = scatter_matrix(found).figure["layout"]
+    assert layout["xaxis"]["type"] == layout["yaxis"]["type"] == "log"
+    assert "type" not in layout["xaxis2"]
+    assert [line["y"][0] for line in parallel_coordinates(found).figure["data"]] == [
+        pytest.approx(k / 16, abs=1e-6) for k in range(17)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [(19.1214, 4.13, "19.1 ± 4.1"), (3.0255e-11, 2.36e-11, "3.0e-11 ± 2.4e-11"), (120.4, 12.0, "120 ± 12"),
+     (0.5, np.nan, "0.5"), (np.nan, np.nan, "–"), (0.25, 0.0, "0.25 ± 0"), (0.012, 3.1, "0.0 ± 3.1"),
+     (1204.0, 130.0, "1200 ± 130")],
+)  # fmt: skip
+def test_a_number_has_the_digits_of_its_standard_error(value, error, text):
+    assert with_error(value, error) == text
+
+
+def test_labels_of_narrow_plots_have_few_lines():
+    assert in_lines("angle_of_repose.left [deg]") == "angle_of_<br>repose.left<br>[deg]"
+    assert in_lines("mass [kg]") == "mass [kg]"
 
 
 def test_short_names_of_parameters_are_different():

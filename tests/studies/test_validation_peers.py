@@ -154,6 +154,18 @@ def test_figures_of_the_silo():
     assert found["height of the center of mass at the opening [m]"] == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize(("particles", "flow"), [(360, "pass"), (432, "fail")])
+def test_the_quick_discharge_fails_if_a_fifth_more_particles_flow_out(monkeypatch, particles, flow):
+    """The stored flow of LIGGGHTS, 0.0753 kg/s, is that of 360 particles of 4 mm in 0.4 s."""
+    first, last = silo.FLOW_TIMES
+    frames = flying((silo.OPENING, first, last), count=silo.COUNT, position=(0.0, 0.0, 0.07))
+    below = (np.arange(silo.COUNT) < particles)[:, None]
+    frames[last] = replace(frames[last], position=frames[last].position - [0, 0, 1.0] * below)
+    monkeypatch.setattr(compare, "our_frames", lambda each, repeat: frames)
+    statuses = {each.name: each.status for each in report.QUICK["discharge of a silo"]()}
+    assert statuses["LIGGGHTS: mass flow rate"] == flow
+
+
 def test_figures_of_the_impact():
     """The sphere is 10 mm deep at its lowest point in a bed of 60 mm whose center of mass is at half its height."""
     times = np.round(impact.IMPACT.times, 6)

@@ -15,11 +15,6 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 SCRIPT = TOOLS / "gpu_check.py"
 
 
-@pytest.fixture(autouse=True)
-def tools_on_path(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-
-
 def module(name):
     return importlib.import_module(name)
 
@@ -70,7 +65,7 @@ def run_of(tmp_path, answers, **requested):
     defaults = {"arch": "cpu", "part": "all", "precisions": ["f64"], "sizes": [1000], "seconds": 1.0, "quick": True}
     options = argparse.Namespace(**defaults | {"out": tmp_path / "found.json"} | requested)
     result = {"checks": [], "points": [], "profiles": [], "left_out": []}
-    result["device"] = {"name": "host", "driver": None, "memory_free": 10**9}
+    result["device"] = {"name": "host", "driver": None, "memory_free": 10**9, "largest_buffer": 10**8}
     run = check.Run(options, tmp_path, check.Budget(600.0), result)
     (tmp_path / "bed.npz").touch()
 
@@ -105,12 +100,16 @@ def test_failed_job_counts_as_failed_check(tmp_path, monkeypatch, capsys):
 
 def test_results_are_written_before_a_later_measurement_is_skipped(tmp_path, monkeypatch):
     check = module("gpu_check")
-    monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: 100 * size)
+    monkeypatch.setattr(check.speed, "bytes_needed", lambda bed, size, *_: (100 * size, 11 * size))
     run = run_of(tmp_path, {"measure": POINT}, part="bench", sizes=[1000, 10**7])
     check.bench(run, 1000, "f64", {})
     assert json.loads(run.options.out.read_text())["points"] == [{"precision": "f64"} | POINT]
     check.bench(run, 10**7, "f64", {})
-    assert "10000000 particles in f64: fields of 1.0 GB exceed 70% of the free 1.0 GB" in run.result["left_out"]
+    check.bench(run, 8 * 10**6, "f64", {})
+    assert run.result["left_out"] == [
+        "10000000 particles in f64: a field of 0.1 GB exceeds the largest buffer of 0.1 GB",
+        "8000000 particles in f64: fields of 0.8 GB exceed 70% of the free 1.0 GB",
+    ]
     # 50 s for 1000 particles, of which 1 s is measured: 49 s per thousand exceed 600 s for 100 000.
     check.bench(run, 100_000, "f64", {"f64": (1000, 50.0)})
     assert run.result["left_out"][-1].startswith("100000 particles in f64: requires about 4901 s")

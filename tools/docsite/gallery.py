@@ -1,18 +1,18 @@
 """Gallery page: every shipped scene with picture, film, description, published values and command."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from scene_table import expected_and_run, stored_results
 
 from docsite.markdown import code, table
 from granflow.cli.examples import scene_paths
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES, PICTURES = ROOT / "scenes", ROOT / "docs" / "pages" / "gallery"
-COMPARISONS, RESULTS = ROOT / "docs" / "scenes_comparisons.yaml", ROOT / "docs" / "scenes_results.json"
+COMPARISONS = ROOT / "docs" / "scenes_comparisons.yaml"
 VERIFICATION = "verification"
 """Folder of the scenes with closed-form results, which have no pictures."""
 INTRODUCTION = """\
@@ -60,15 +60,20 @@ def _contents() -> str:
 
 
 def _section(name: str) -> str:
-    """Title, description, comparisons with published values and command of a scene."""
+    """Title, description, film, command, comparisons with published values or expectations, run time of a scene."""
     scene = _scene(name)
     lines = [f"## {scene['title']} {{ #{_identifier(name)} }}\n", f"{scene['description']}\n"]
     lines.append(_picture_or_film(name, scene["title"]))
     lines.append(f"```text\ngranflow example {name}\ngranflow run {Path(name).name}.yaml\n```\n")
     if rows := list(_comparisons(name)):
         lines.append(table(("case", "granflow", "published or theory", "deviation"), rows))
-    if wall_clock := json.loads(RESULTS.read_text(encoding="utf-8")).get(name, {}).get("wall_clock"):
-        lines.append(f"Run time: {wall_clock:.0f} s.\n")
+    else:
+        found = [(code(quantity), unit, value, wanted) for quantity, unit, wanted, value in expected_and_run(name)]
+        lines.append(table(("quantity", "unit", "granflow", "expected"), found))
+    run = stored_results().get(name, {})
+    if "wall_clock" in run:
+        threads = f"{run['threads']} thread{'s' if run['threads'] > 1 else ''}"
+        lines.append(f"Run time: {run['wall_clock']:.0f} s with {threads} (AMD EPYC, compilation included).\n")
     return "\n".join(lines)
 
 

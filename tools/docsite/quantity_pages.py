@@ -22,8 +22,9 @@ The names are also those of `expect:`.
 VTU = """\
 # Arrays of VTU files
 
-All values are in SI units. A file is one frame; the `.pvd` file of a series lists its frames with their times.
-Vectors have the components x, y, z; tensors xx, xy, xz, yx, yy, yz, zx, zy, zz.
+All values are in SI units, which each file states as field data (in ParaView's *Information* panel): the
+array `velocity [m/s]` contains the number 1. A file is one frame; the `.pvd` file of a series lists its frames with
+their times. Vectors have the components x, y, z; tensors xx, xy, xz, yx, yy, yz, zx, zy, zz.
 """
 METRICS = """\
 # Metrics
@@ -72,12 +73,6 @@ def vtu_arrays() -> str:
     """Page of the arrays of VTU files."""
     displayed = [each for each in fields.PARTICLE_QUANTITIES.values() if isinstance(each, FieldSpec) and each.displayed]
     contacts = [each for name, each in fields.CONTACT_QUANTITIES.items() if name not in ("position_i", "position_j")]
-    walls = [
-        Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
-        Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
-        Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
-        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
-    ]
     return "\n".join(
         [
             VTU,
@@ -87,7 +82,7 @@ def vtu_arrays() -> str:
             "the contact point on a wall.\n",
             array_table(contacts),
             "## walls_NNNN.vtu\n\nThe triangles of the walls that are present.\n",
-            array_table(walls),
+            array_table(fields.WALL_ARRAY_QUANTITIES.values()),
             "## fields_NAME_NNNN.vtu\n\nWith `output.fields`: one value per cell of a grid "
             "([formulas](../guides/coarse_graining.md)).\n",
             array_table(fields.FIELD_QUANTITIES.values()),

@@ -22,9 +22,10 @@ def present(arch: str) -> dict[str, Any]:
 
 
 def describe(arch: str) -> dict[str, Any]:
-    """Name, driver, total and free memory [bytes]; None if unknown."""
-    unknown: dict[str, Any] = {"name": None, "driver": None, "memory_total": None, "memory_free": None}
-    return unknown | (_host_memory() if arch == "cpu" else _query_driver())
+    """Name, driver, total and free memory, largest buffer [bytes]; None if unknown or unlimited."""
+    names = ("name", "driver", "memory_total", "memory_free", "largest_buffer")
+    queries = {"cpu": _host_memory, "cuda": _query_driver, "vulkan": _query_vulkan}
+    return dict.fromkeys(names) | queries[arch]()
 
 
 def _host_memory() -> dict[str, Any]:
@@ -34,6 +35,16 @@ def _host_memory() -> dict[str, Any]:
         return {"name": "host"}
     memory = {line.split(":")[0]: 1024 * int(line.split()[1]) for line in lines}
     return {"name": "host", "memory_total": memory["MemTotal"], "memory_free": memory["MemAvailable"]}
+
+
+def _query_vulkan() -> dict[str, Any]:
+    from granflow.engine.vulkan_devices import used_device, vulkan_devices
+
+    device = used_device(vulkan_devices())
+    if device is None:
+        return {}
+    memory = {"memory_total": device.total, "memory_free": device.free, "largest_buffer": device.largest_buffer}
+    return {"name": device.name, "driver": device.driver, **memory}
 
 
 def _query_driver() -> dict[str, Any]:

@@ -18,13 +18,15 @@ MEMORY_SHARE = 0.7
 """Largest initial share of fields in the free memory; the neighbor lists may grow."""
 
 
-def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> int:
-    """Bytes of all fields of a bed of about `count` particles, before neighbor lists grow."""
-    from granflow.plan.memory_estimate import estimate_memory
+def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> tuple[int, int]:
+    """Bytes of all fields, and of the largest one, of a bed of about `count` particles, before neighbor lists grow."""
+    from granflow.plan.memory_estimate import estimate_memory, largest_block
 
     case = bed(bed_file, 0)
     plan = plan_of(case, precision, on_gpu)
-    return int(estimate_memory(plan, precision).total / case.count * max(count, case.count))  # type: ignore[arg-type]
+    found = estimate_memory(plan, precision).total, largest_block(plan, plan.capacities)  # type: ignore[arg-type]
+    total, longest = (int(each / case.count * max(count, case.count)) for each in found)
+    return total, longest
 
 
 def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:

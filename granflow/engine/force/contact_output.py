@@ -60,7 +60,7 @@ class ContactOutput:
         """All contacts, each once, as in Snapshot.contacts, with n entries or (n, 3) arrays.
 
         ids:      (particles,) of all particles that lists can contain, in device order
-        pose:     index of the wall poses at the present time, see `Stepper.place_walls`
+        pose:     index of the wall poses at the present time, see `WallPoses.index_at`
         Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history; the particle with the lower id is
                   the first of a contact, and contacts are in the order of the ids; on MPI ranks, those of all ranks on
                   the root

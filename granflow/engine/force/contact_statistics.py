@@ -50,7 +50,7 @@ class ContactStatistics:
     def measure(self, pose: int) -> dict[str, float]:
         """Statistics of all contacts; fills both contact counts.
 
-        pose:  index of the wall poses at the present time, see `Stepper.place_walls`
+        pose:  index of the wall poses at the present time, see `WallPoses.index_at`
 
         Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
         """

@@ -34,7 +34,7 @@ def build_sphere_kinematics(plan: Plan) -> Any:
     Arguments: radii [m], `branch` vector from the second to the first [m], relative velocity at the half step and now
     [m/s], time step [s]. Returns a struct of overlap [m], normal, mean of the present and the previous normal,
     tangential relative velocity at the half step [m/s], overlap rate at the half step and now [m/s] (positive if
-    approaching), and the lever arms of both [m].
+    approaching), and the lever arms of both [m]: the contact point halves the overlap.
     """
     rate_dependent = plan.features.rate_dependent
 
@@ -50,7 +50,6 @@ def build_sphere_kinematics(plan: Plan) -> Any:
         if ti.static(rate_dependent):
             rate = -velocity_rel.dot(normal)
         velocity_tangential = velocity_rel_half + overlap_rate_half * normal
-        ratio = overlap / contact_distance
         return ti.Struct(
             overlap=overlap,
             normal=normal,
@@ -58,8 +57,8 @@ def build_sphere_kinematics(plan: Plan) -> Any:
             velocity_tangential=velocity_tangential,
             overlap_rate_half=overlap_rate_half,
             overlap_rate=rate,
-            arm=radius - ratio * radius_partner,
-            arm_partner=radius_partner - ratio * radius,
+            arm=radius - 0.5 * overlap,
+            arm_partner=radius_partner - 0.5 * overlap,
         )
 
     return sphere_kinematics

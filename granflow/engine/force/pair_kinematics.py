@@ -72,7 +72,7 @@ def _build_particle_kinematics(state: State) -> Any:
 
 
 def _build_wall_kinematics(state: State) -> Any:
-    """`build_pair_kinematics` for a particle and a wall: the lever arm of i is the radius minus the overlap, of j 0."""
+    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm of j."""
     particles, features, real = state.particles, state.plan.features, state.backend.real
     geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
 
@@ -81,12 +81,12 @@ def _build_wall_kinematics(state: State) -> Any:
         radius = particles.radius[i]
         gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
-        found.arm = radius - found.overlap
+        found.arm = radius - 0.5 * found.overlap
         if ti.static(acts_at_distance):
             found.normal = ti.cast(direction, real)
         if found.overlap > 0.0:
             found.normal = ti.cast(direction, real)
-            contact_point = particles.position[i] - gap * direction
+            contact_point = particles.position[i] - found.arm * direction
             wall_velocity = ti.cast(geometry.velocity(-1 - j, pose, contact_point), real)
             velocity_rel_half = particles.velocity[i] - wall_velocity
             found.overlap_rate_half = -velocity_rel_half.dot(found.normal)

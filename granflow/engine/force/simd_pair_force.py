@@ -25,7 +25,8 @@ from granflow.engine.force.structs import (
     build_slot_vector,
     member,
 )
-from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.pair_batch import BATCH, LANES
+from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.chunk_sums import DAMPING, FRICTION, LOSSES, ROLLING
 from granflow.plan.sum_units import ENERGY, FORCE, TORQUE

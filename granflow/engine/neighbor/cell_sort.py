@@ -5,56 +5,12 @@ Integers determine all results: the order is the same for any number of threads.
 
 from typing import Any
 
-from granflow.engine.neighbor.cell_grid import build_lay_grids
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
-from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
-from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
-
-KEPT_REACH = -1.0
-"""Time of the reach for which the particles keep the reach that they have."""
-
-
-def bounds_phase(state: State) -> Phase:
-    """Reach of all particles, bounds of BOUNDS parts of the particle list, and the grids.
-
-        reach = min(skin / 2 + |v| time, reach_max)
-
-    A part holds consecutive particles; its bounds are those of the positions, and the largest reach. A fast particle
-    looks further, so that it does not make the rebuilds of all others more frequent. With the time KEPT_REACH, the
-    reach is that of an earlier rebuild.
-
-    Reads:   position, velocity, reach
-    Writes:  reach of the particles; low, high, reach of the cell sort; the grids
-    """
-    particles, sorting, real = state.particles, state.cell_sort, state.backend.position_real
-    position, reach_max, lay_grids = particles.position, state.parameter("reach_max"), build_lay_grids(state)
-
-    @ti.func
-    def part_count(rebuild):
-        return ti.min(rebuild.count, BOUNDS)
-
-    @ti.func
-    def bounds(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        smallest, largest, reach_largest, limit = position[begin], position[begin], 0.5 * rebuild.skin, reach_max()
-        for i in range(begin, end):
-            smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
-            speed = ti.cast(particles.velocity[i].norm(), real)
-            reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
-            if rebuild.reach_time < 0.0:
-                reach = particles.reach[i]
-            particles.reach[i] = reach
-            reach_largest = ti.max(reach_largest, reach)
-        sorting.low[part], sorting.high[part], sorting.reach[part] = smallest, largest, reach_largest
-
-    @ti.func
-    def lay(rebuild):
-        lay_grids(rebuild.count)
-
-    return Phase(part_count, bounds, BOUNDS, lay)
+from granflow.plan.capacities import SCAN_BLOCK
 
 
 def sort_phases(state: State) -> list[Phase]:
@@ -145,9 +101,10 @@ def _counting_sort(
     start:         field, written; the particles of cell c are order[start[c]:start[c + 1]]
     order:         field, written
 
-    Cell `cells` collects the deleted particles. Counts are added atomically, which is exact for integers.
+    Cell `cells` collects the deleted particles. Counts are added atomically, which is exact for integers. The scan
+    makes `start` the end of each cell; each particle that is placed there decreases it by 1, so that the begin remains.
 
-    Writes:  start, order, cell, cell_fill, block_sum
+    Writes:  start, order, coordination_number (the cell of each particle until it is placed), block_sum
     """
     most_parts, cells_per_task = granularity(state)
     most_cells, most_particles = start.shape[0], order.shape[0]
@@ -160,7 +117,7 @@ def _counting_sort(
     def task_count(rebuild):
         return (cells_of_all() + 2 + cells_per_task - 1) // cells_per_task
 
-    clear, order_cells = _build_cell_tasks(state, cells_per_task, cells_of_all, key, start, order)
+    clear, order_cells = _build_cell_tasks(cells_per_task, cells_of_all, key, start, order)
     count_particles, place = _build_particle_parts(state, part_count, count_of, cell_of, cells_of_all, start, order)
     return [
         Phase(task_count, clear, most_cells),
@@ -171,16 +128,13 @@ def _counting_sort(
     ]
 
 
-def _build_cell_tasks(
-    state: State, cells_per_task: int, cells_of_all: Any, key: Any, start: Any, order: Any
-) -> tuple[Any, Any]:
+def _build_cell_tasks(cells_per_task: int, cells_of_all: Any, key: Any, start: Any, order: Any) -> tuple[Any, Any]:
     """Device functions (task, rebuild): set the counts of some cells to 0; order their particles by key."""
-    sorting = state.cell_sort
 
     @ti.func
     def clear(task, rebuild):
         for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 2)):
-            start[c], sorting.cell_fill[c] = 0, 0
+            start[c] = 0
 
     # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
     # deleted particles can hold many of them: the host orders these.
@@ -195,30 +149,38 @@ def _build_cell_tasks(
 def _build_particle_parts(
     state: State, part_count: Any, count_of: Any, cell_of: Any, cells_of_all: Any, start: Any, order: Any
 ) -> tuple[Any, Any]:
-    """Device functions (part, rebuild): count some particles in their cells; place them there."""
-    sorting = state.cell_sort
+    """Device functions (part, rebuild): count some particles in their cells; place them there.
+
+    Cells are filled from their ends, so that the last particles are placed first: a cell that is nearly in order takes
+    the least time to sort.
+    """
+    cells = state.particles.coordination_number
 
     @ti.func
     def count_particles(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
+        cell, i = 0, begin
+        while i < end and is_count(cell):
             cell = cell_of(i, cells_of_all())
-            sorting.cell[i] = cell
+            cells[i] = cell
             ti.atomic_add(start[cell], 1)
+            i += 1
 
     @ti.func
     def place(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
-            cell = sorting.cell[i]
-            rank = ti.atomic_add(sorting.cell_fill[cell], 1)
-            order[start[cell] + rank] = i
+        parts = part_count(rebuild)
+        begin, end = part_range(parts - 1 - part, parts, count_of(rebuild))
+        cell, i = 0, end - 1
+        while i >= begin and is_count(cell):
+            cell = cells[i]
+            order[ti.atomic_sub(start[cell], 1) - 1] = i
+            i -= 1
 
     return count_particles, place
 
 
 def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
-    """Phases that replace the counts of the cells in `start` by their sums over the cells before."""
+    """Phases that replace the counts of the cells in `start` by their sums up to and including each cell."""
     sorting, most_blocks = state.cell_sort, state.cell_sort.block_sum.shape[0]
 
     @ti.func
@@ -232,27 +194,31 @@ def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
     @ti.func
     def sum_block(block, rebuild):
         begin, end = range_of(block)
-        total = 0
-        for c in range(begin, end):
+        total, c = 0, begin
+        while c < end and is_count(total):
             total += start[c]
+            c += 1
         sorting.block_sum[block] = total
 
     @ti.func
     def sum_blocks(rebuild):
         total = 0
-        for block in range(block_count(rebuild)):
+        block = 0
+        while block < block_count(rebuild) and is_count(total):
             here = sorting.block_sum[block]
             sorting.block_sum[block] = total
             total += here
+            block += 1
 
     @ti.func
     def scan_block(block, rebuild):
         begin, end = range_of(block)
         total = sorting.block_sum[block]
-        for c in range(begin, end):
-            here = start[c]
+        c = begin
+        while c < end and is_count(total):
+            total += start[c]
             start[c] = total
-            total += here
+            c += 1
 
     return [Phase(block_count, sum_block, most_blocks, sum_blocks), Phase(block_count, scan_block, most_blocks)]
 

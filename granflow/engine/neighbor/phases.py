@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
+from granflow.engine.control import CACHE_LINE
+from granflow.engine.state import CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
@@ -18,6 +19,16 @@ from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 def _nothing(rebuild):
     """The serial part of most phases."""
     pass
+
+
+@ti.func
+def is_count(number):
+    """True for all counts and indices, which the compiler does not know.
+
+    A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight times,
+    with versions for each remainder, the short loops of a rebuild are half of its machine code, and no faster.
+    """
+    return number >= 0
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -10,7 +11,8 @@ from granflow.engine.device_flags import DeviceFlags, read_flags
 from granflow.engine.host_copy import copy_to_host, saved_particle_table
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.limits import ABORT_FAR
-from granflow.engine.neighbor.cell_sort import KEPT_REACH, bounds_phase, class_phases, sort_phases
+from granflow.engine.neighbor.bounds import KEPT_REACH, bounds_phases
+from granflow.engine.neighbor.cell_sort import class_phases, sort_phases
 from granflow.engine.neighbor.deletion import find_farthest
 from granflow.engine.neighbor.history_transfer import build_save_history
 from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
@@ -21,7 +23,7 @@ from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti
-from granflow.plan.capacities import REACH_STEPS, list_capacity_for
+from granflow.plan.capacities import REACH_STEPS
 
 
 class RebuildKernel:
@@ -32,7 +34,7 @@ class RebuildKernel:
     """
 
     def __init__(self, state: State) -> None:
-        phases = [bounds_phase(state)]
+        phases = bounds_phases(state)
         if not state.plan.has_ghosts:  # ranks sort their particles on the host
             phases = [*_chunk_phases(state), *phases, *sort_phases(state), *reorder_phases(state)]
         if state.plan.features.clumps:
@@ -45,6 +47,25 @@ class RebuildKernel:
     def compile(self) -> None:
         """Compile the kernel by launching it on an empty range."""
         self.launch(1, self.fill, 0, 0.0, 0.0, 0.0, 0)
+
+
+class Rebuild(Protocol):
+    """Rebuild of the neighbor lists."""
+
+    def compile(self) -> None:
+        """Compile the kernels, unless the state has them."""
+
+    def run(self, pose: int, workers: int) -> None:
+        """Rebuild the lists at an index of the wall poses, with a number of workers."""
+
+    def put(self, particles: HostParticles) -> None:
+        """Put particles on an empty device; the next rebuild lists them."""
+
+    def restore(self, particles: HostParticles, pose: int, workers: int) -> None:
+        """Put particles on an empty device with the lists of the last rebuild, at which the wall poses are given."""
+
+    def ids(self) -> np.ndarray:
+        """Ids of all particles that lists can contain, by index."""
 
 
 class NeighborListRebuild:
@@ -114,7 +135,7 @@ class NeighborListRebuild:
             flags = read_flags(state)
             needed = flags.list_length_needed
             if first < self._kernel.fill and flags.running == 0:  # the histories do not fit
-                self._grow(list_capacity_for(needed), 0)
+                self._grow(state.capacities.list_capacity_for(needed), 0)
             elif needed > state.capacities.list_entries_per_segment:
                 too_long, length = divmod(needed, TOO_LONG)
                 self._grow(length, length * too_long)

@@ -9,7 +9,8 @@ can leave, a launch also ends if the thread pool of Taichi has fewer threads tha
 import time
 from collections.abc import Callable
 
-from granflow.engine.state import CACHE_LINE, CPU_STRIDE, Control
+from granflow.engine.control import CACHE_LINE, Control
+from granflow.engine.state import CPU_STRIDE
 from granflow.kernel_language import ti
 
 ARRIVAL_BITS = 16

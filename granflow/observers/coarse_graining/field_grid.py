@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from granflow.fields import FIELD_QUANTITIES, units
 from granflow.geometry.periodic_box import AXES
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.observers.coarse_graining.kernel import GaussianKernel
@@ -94,7 +95,7 @@ class CoarseGrid:
         points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
         k, j, i = (part.ravel() for part in np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij"))
         corners = [(i + a) + (nx + 1) * ((j + b) + (ny + 1) * (k + c)) for a, b, c in CORNERS]
-        return VtuMesh.of_cells("hexahedron", points, np.stack(corners, axis=1), arrays)
+        return VtuMesh.of_cells("hexahedron", points, np.stack(corners, axis=1), arrays, units(FIELD_QUANTITIES))
 
 
 def grid_for(domain: Domain, spec: GridSpec) -> CoarseGrid:

@@ -23,13 +23,6 @@ class GaussianKernel:
         self.reach = cutoff * width
         self._table = _distribution(cutoff)
 
-    @property
-    def variance(self) -> float:
-        """Mean of s^2 with the weight g [m2]: w^2 minus the contribution beyond the cutoff."""
-        c = self.cutoff
-        tail = 2.0 * c * np.exp(-0.5 * c * c) / (sqrt(2.0 * np.pi) * erf(c / sqrt(2.0)))
-        return float(self.width**2 * (1.0 - tail))
-
     def cumulative(self, distance: np.ndarray) -> np.ndarray:
         """Return the integral of g from minus infinity to `distance` [m], an array of any shape; from 0 to 1.
 

@@ -72,14 +72,14 @@ def rounded_up(value: float) -> float:
 def modulus_text(moduli: Mapping[str, float]) -> str:
     """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
     if (highest := max(moduli.values(), default=0.0)) > HARDEST:
-        words = modulus_words(highest)
+        words = pressure_words(highest)
         return f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be required"
-    parts = [f"materials.{name}.young_modulus to {modulus_words(value)}" for name, value in moduli.items()]
+    parts = [f"materials.{name}.young_modulus to {pressure_words(value)}" for name, value in moduli.items()]
     return f"set {' and '.join(parts)}"
 
 
-def modulus_words(value: float) -> str:
-    """A modulus [Pa] in GPa, MPa, kPa or Pa."""
+def pressure_words(value: float) -> str:
+    """A pressure or modulus [Pa] in GPa, MPa, kPa or Pa."""
     for unit, size in (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)):
         if value >= size:
             return f"{value / size:.3g} {unit}"

@@ -14,6 +14,7 @@ from granflow.load import Scene
 from granflow.particles.regions import BoxSampler, CylinderSampler
 from granflow.plan.forecast.regions import region_of
 from granflow.plan.max_impact_velocity import ImpactVelocity, image_speed, initial_speeds
+from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedWall
 from granflow.scene.schema.insertion import PositionsInsertion
 from granflow.scene.schema.particles import Group
@@ -23,7 +24,7 @@ PARALLEL = 1e-6
 """Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide on."""
 
 
-def forecast_velocity(scene: Scene, walls: tuple[PlannedWall, ...], planned: ImpactVelocity) -> ImpactVelocity:
+def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
 
         v = max sqrt(v0^2 + 2 |g| h),      at most the planned velocity
@@ -31,13 +32,13 @@ def forecast_velocity(scene: Scene, walls: tuple[PlannedWall, ...], planned: Imp
     v0: initial speed, h: drop height of a group. That of the plan if `run.velocity_max` is given, without gravity, if
     walls or images move, which lift or accelerate particles, or if the height of a group is not known.
     """
-    gravity = np.array(scene.gravity, float)
+    planned, gravity = plan.impact_velocity, np.array(plan.gravity, float)
     magnitude = float(np.linalg.norm(gravity))
-    is_moving = bool(image_speed(scene.domain)) or any(wall.motions for wall in walls)
+    is_moving = bool(image_speed(scene.domain)) or any(wall.motions for wall in plan.walls)
     if scene.run.velocity_max is not None or not magnitude or is_moving:
         return planned
     up, speeds = -gravity / magnitude, initial_speeds(scene.particles)
-    low = lowest_level(scene, walls, up)
+    low = lowest_level(scene, plan.walls, up)
     groups = {name: group for name, group in scene.particles.items() if not group.fixed}
     tops = {name: highest_point(group, up) for name, group in groups.items()}
     if low is None or not tops or any(top is None for top in tops.values()):

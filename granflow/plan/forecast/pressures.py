@@ -1,20 +1,22 @@
 """Static pressures of a scene, of the weight of the bed and of force-controlled walls, and their contact forces."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import log, pi
 from typing import Literal
 
 import numpy as np
 
+from granflow.contact.material import Solid
 from granflow.geometry.catalog import area_of
 from granflow.load import Scene
 from granflow.particles.regions import BoxSampler, CylinderSampler, sampler_of
 from granflow.particles.sizes import draw_diameters
-from granflow.plan.pair_cases import solid
+from granflow.plan.forecast.advice import pressure_words
+from granflow.plan.plan import Plan
 from granflow.plan.size_classes import diameter_range
-from granflow.plan.wall_control import ControlledMotion, section
-from granflow.plan.walls import PlannedWall
+from granflow.plan.wall_control import section
+from granflow.scene.schema.domain import Domain
 from granflow.scene.schema.insertion import FileInsertion, LatticeInsertion, PackInsertion, PositionsInsertion
 from granflow.scene.schema.particles import Group
 
@@ -58,25 +60,23 @@ class BedPressure:
         return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
 
 
-def bed_pressures(
-    scene: Scene, walls: Sequence[PlannedWall], controlled: Sequence[ControlledMotion]
-) -> Iterator[BedPressure]:
+def bed_pressures(scene: Scene, plan: Plan) -> Iterator[BedPressure]:
     """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
-    diameter = max(diameter_range(group)[1] for group in scene.particles.values())
-    count = sum(group.count for group in scene.particles.values() if not group.fixed)
-    weight, area = weight_pressure(scene)
+    diameter = 2.0 * plan.radius_max
+    count = sum(group.count for group in plan.groups if not group.fixed)
+    weight, area = weight_pressure(scene, plan.solids)
     if weight > 0.0:
         contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
         yield BedPressure("weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts)
-    for motion in controlled:
-        area = area_of(walls[motion.wall].shape) or section(scene.domain, motion.direction)
+    for motion in plan.controlled_motions:
+        area = area_of(plan.walls[motion.wall].shape) or section(plan.domain, motion.direction)
         if motion.force > 0.0 and count > 1:
             pressure = motion.force / area
             cause = f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
             yield BedPressure("wall", cause, pressure, 3.0 * count)
 
 
-def weight_pressure(scene: Scene) -> tuple[float, float]:
+def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, float]:
     """Pressure [Pa] of the weight of all mobile particles at the bottom of the bed, and the section of the bed [m2].
 
         p = |g| sum M_i / A_i,       at most 0.64 rho |g| H
@@ -94,10 +94,9 @@ def weight_pressure(scene: Scene) -> tuple[float, float]:
     for group in scene.particles.values():
         if group.fixed or not magnitude:
             continue
-        area = _section_of(scene, group, gravity / magnitude)
-        total += magnitude * group.count * mean_volume(group) * solid(scene.materials, group.material).density / area
-        largest_section = max(largest_section, area)
-        densest = max(densest, solid(scene.materials, group.material).density)
+        area, density = _section_of(scene.domain, group, gravity / magnitude), solids[group.material].density
+        total += magnitude * group.count * mean_volume(group) * density / area
+        largest_section, densest = max(largest_section, area), max(densest, density)
     return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
 
 
@@ -118,13 +117,13 @@ def solid_volume(particles: Mapping[str, Group]) -> float:
     return sum(group.count * mean_volume(group) for group in particles.values())
 
 
-def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:
+def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
     """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other insertions."""
     if isinstance(group.insert, PositionsInsertion):
         x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
         return float(np.abs(down) @ [y * z, z * x, x * y])
     if not isinstance(group.insert, LatticeInsertion | PackInsertion):
-        return section(scene.domain, down)
+        return section(domain, down)
     region = sampler_of(group.insert.region)
     if isinstance(region, BoxSampler):
         x, y, z = region.high - region.low
@@ -134,11 +133,3 @@ def _section_of(scene: Scene, group: Group, down: np.ndarray) -> float:
     return (
         along * pi * region.radius**2 + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
     )
-
-
-def pressure_words(value: float) -> str:
-    """A pressure [Pa] in MPa, kPa or Pa."""
-    for unit, size in (("MPa", 1e6), ("kPa", 1e3)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value:.3g} Pa"

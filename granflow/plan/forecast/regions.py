@@ -11,6 +11,7 @@ from granflow.particles.insertion import insertion_region
 from granflow.particles.particle_data import ParticleData
 from granflow.particles.regions import RegionSampler, sampler_of
 from granflow.plan.forecast.times import is_present, nominal_times
+from granflow.plan.plan import Plan
 from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
 from granflow.scene.schema.insertion import InletInsertion, LatticeInsertion, PackInsertion, RainInsertion
@@ -20,9 +21,8 @@ SAMPLES = 2000
 """Number of random positions at which a region is compared with the walls."""
 
 
-def region_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
     """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
-    times = nominal_times(scene)
     for name, group in scene.particles.items():
         region = region_of(group)
         if region is None or group.fixed:
@@ -32,8 +32,8 @@ def region_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
         start = getattr(group.insert, "start", 0.0)
-        for wall, overlap in _overlaps(walls, points, np.full(SAMPLES, radius), start, times):
-            share = float(np.mean(overlap > scene.numerics.max_overlap))
+        for wall, overlap in _overlaps(plan.walls, points, np.full(SAMPLES, radius), start, times):
+            share = float(np.mean(overlap > plan.max_overlap))
             if share > 0.0:
                 yield (
                     f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100 * share:.2g} % of the "
@@ -42,19 +42,19 @@ def region_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]
                 )
 
 
-def particle_warnings(scene: Scene, walls: Sequence[PlannedWall], particles: ParticleData) -> Iterator[str]:
+def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iterator[str]:
     """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
 
     Groups in regions are compared with walls by `region_warnings`.
     """
-    times = nominal_times(scene)
+    times = nominal_times(plan.stages)
     for number, (name, group) in enumerate(scene.particles.items()):
         own = np.flatnonzero(particles.group == number)
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
         points, radius = particles.position[own], particles.radius[own]
-        for wall, overlap in _overlaps(walls, points, radius, 0.0, times):
-            count = int((overlap > scene.numerics.max_overlap).sum())
+        for wall, overlap in _overlaps(plan.walls, points, radius, 0.0, times):
+            count = int((overlap > plan.max_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
                 x, y, z = points[worst]

@@ -8,7 +8,7 @@ import numpy as np
 from granflow.geometry.catalog import area_of, distance_from, triangles
 from granflow.load import Scene
 from granflow.plan.forecast.pressures import solid_volume
-from granflow.plan.forecast.times import nominal_times
+from granflow.plan.plan import Plan
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall, StageTimes
 from granflow.scene.schema.domain import Domain
@@ -24,7 +24,7 @@ MARGIN = 1.2
 """Recommended over required velocity."""
 
 
-def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Sequence[ControlledMotion]) -> Iterator[str]:
+def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
     """A sentence for each servo whose travel is shorter than its distance from the bed.
 
         v t < L - V / (phi A),     v = min(v_max, gain F)
@@ -34,15 +34,13 @@ def servo_warnings(scene: Scene, walls: Sequence[PlannedWall], controlled: Seque
     the loosest solid fraction phi over the area A of the servo. A bed beside the servo is lower: the distance is a
     lower bound.
     """
-    times = nominal_times(scene)
-    for motion in controlled:
-        wall = walls[motion.wall]
-        area = area_of(wall.shape)
+    for motion in plan.controlled_motions:
+        area = area_of(plan.walls[motion.wall].shape)
         given = scene.walls[motion.name].motion[motion.motion]
         if not isinstance(given, Servo) or area is None:
             continue
         duration = _duration(given, times)
-        distance = _free_path(scene.domain, walls, motion) - solid_volume(scene.particles) / (LOOSEST * area)
+        distance = _free_path(plan.domain, plan.walls, motion) - solid_volume(scene.particles) / (LOOSEST * area)
         free_velocity = motion.gain * abs(motion.force)
         travel = min(motion.velocity_max, free_velocity) * duration
         if travel < distance:

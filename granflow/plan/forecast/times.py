@@ -1,17 +1,16 @@
 """Times of the stages if each lasts as long as it can, for forecasts of moving walls."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from granflow.load import Scene
-from granflow.plan.scene_parts import planned_stages
+from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import PlannedWall, StageTimes
 
 
-def nominal_times(scene: Scene) -> StageTimes:
+def nominal_times(stages: Sequence[PlannedStage]) -> StageTimes:
     """Start and end [s] of each stage if all stages take their longest duration."""
-    stages = planned_stages(scene)
     edges = np.concatenate([[0.0], np.cumsum([stage.longest for stage in stages])]).tolist()
     return {stage.name: span for stage, span in zip(stages, pairwise(edges), strict=True)}
 

@@ -8,7 +8,7 @@ from granflow.geometry.catalog import distance_from
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
 from granflow.load import Scene
-from granflow.plan.forecast.times import nominal_times, present_from
+from granflow.plan.forecast.times import present_from
 from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
 from granflow.scene.schema.motions import Translation
@@ -23,14 +23,13 @@ TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
 
 
-def wall_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
     """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
 
     Domains that expand have no outside. Meshes outside the domain have notes of their own.
     """
     if scene.domain.on_exit == "expand":
         return
-    times = nominal_times(scene)
     for wall in walls:
         endless = _is_endless(scene, wall)
         if isinstance(wall.shape, Mesh) and not endless:

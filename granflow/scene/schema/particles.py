@@ -34,6 +34,13 @@ AngularVelocityOrMany = Annotated[
 """One angular velocity (3,) [rad/s] for all particles, or one for each."""
 
 
+RadiusOrMany = Annotated[
+    Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
+    choose_by(lambda value: "<list>" if isinstance(value, list | tuple) else "<one>", "one radius or a list of radii"),
+]
+"""One radius [m] for all particles, or one for each."""
+
+
 class ThermalMotion(Model):
     """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of the scene.
 
@@ -82,6 +89,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     diameter: Sizes = Field(
         None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
     )
+    radius: RadiusOrMany | None = Field(
+        None, description="radius [m], instead of diameter; with positions, also a list; with file, not allowed"
+    )
     clump: Clump | None = Field(
         None,
         description="rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
@@ -109,15 +119,17 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     @property
     def sizes(self) -> SizeSpec:
-        """Diameters [m] given in the scene: one, one per particle, or a distribution; of clumps the outer diameter.
+        """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
 
-        Raises ValueError if a file defines them.
+        The outer diameter of clumps. Raises ValueError if a file defines them.
         """
         if self.clump is not None:
             return self.clump.outer_diameter
-        if self.diameter is None:
+        if self.diameter is not None:
+            return self.diameter
+        if self.radius is None:
             raise ValueError("A file defines the diameters.")
-        return self.diameter
+        return tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
 
     @model_validator(mode="before")
     @classmethod
@@ -133,12 +145,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
         yield from self._amount_faults()
         yield from self._list_faults()
-        if self.diameter is None and self.clump is None and self.insert.kind != "file":
-            yield missing(("diameter",), "diameter [m], or a size distribution")
+        yield from self._size_faults()
         if self.clump is not None:
             yield from self._clump_faults()
-        if self.diameter is not None and self.insert.kind == "file":
-            yield Fault(("diameter",), "the file defines the sizes; remove diameter")
         if self.thermal is not None:
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
@@ -146,6 +155,19 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
             if np.any(getattr(self, key)):
                 yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
+
+    def _size_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
+        given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
+        if self.clump is not None:
+            yield from (Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given)
+            return
+        if not given and self.insert.kind != "file":
+            yield missing(("diameter",), "diameter [m], or a size distribution")
+        elif given and self.insert.kind == "file":
+            yield Fault((given[0],), f"the file defines the sizes; remove {given[0]}")
+        elif len(given) == 2:
+            yield redundant("radius", "diameter")
 
     def _amount_faults(self) -> Iterator[Fault]:
         """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
@@ -182,9 +204,7 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             yield whole(("thermal",), f"cannot have zero momentum: {reason}")
 
     def _clump_faults(self) -> Iterator[Fault]:
-        """Clumps have the sizes of their spheres, move, and are inserted by the scene."""
-        if self.diameter is not None:
-            yield Fault(("diameter",), "the spheres of the clump define the sizes; remove diameter")
+        """Clumps move, and are inserted by the scene."""
         if self.fixed:
             yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
         if self.insert.kind in ("file", "python"):
@@ -201,8 +221,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
         """Yield the key path and the length of each value that is given as a list, one entry per particle."""
-        if isinstance(self.diameter, tuple):
-            yield ("diameter",), len(self.diameter)
+        for key in ("diameter", "radius"):
+            if isinstance(getattr(self, key), tuple):
+                yield (key,), len(getattr(self, key))
         for key in ("velocity", "angular_velocity"):
             value = getattr(self, key)
             if isinstance(value[0], tuple):

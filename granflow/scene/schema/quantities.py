@@ -34,6 +34,9 @@ AutoLength = Annotated[float | Literal["auto"], Number("length", above=0, words=
 Diameter = Annotated[float, Number("length", noun="a diameter", above=0)]
 """Diameter [m] of a particle, independent of `scale`."""
 
+Radius = Annotated[float, Number("length", noun="a radius", above=0)]
+"""Radius [m] of a particle, independent of `scale`."""
+
 Time = Annotated[float, Number("time", at_least=0)]
 PositiveTime = Annotated[float, Number("time", above=0)]
 Velocity = Annotated[float, Number("velocity")]

@@ -99,6 +99,11 @@ class SceneInput(Model):
         """The stages; for a scene without stages, one stage "run" of `run.duration`."""
         return self.stages or (Stage(name="run", duration=self.run.duration),)
 
+    @property
+    def longest_duration(self) -> float:
+        """Duration [s] if each stage takes its longest."""
+        return sum(stage.longest for stage in self.schedule)
+
     def flow_meter_parts(self, name: str) -> tuple[str, ...]:
         """Names of the materials or groups with separate counts in a flow meter; empty without `group_by`.
 

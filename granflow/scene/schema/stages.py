@@ -55,6 +55,11 @@ class Stage(Model):
         None, description="with kinetic_energy_below or until: longest duration [s]"
     )
 
+    @property
+    def longest(self) -> float:
+        """Longest duration [s]; 0 without one."""
+        return self.duration or self.max_duration or 0.0
+
     def faults(self) -> Iterator[Fault]:
         """Yield a fault unless the stage has either a duration, or a condition with a maximum duration."""
         condition = "kinetic_energy_below" if self.kinetic_energy_below is not None else "until" if self.until else ""

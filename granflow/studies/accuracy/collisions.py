@@ -17,7 +17,6 @@ from granflow.studies.accuracy.axes import (
     first_contact_times,
     kinds_of,
 )
-from granflow.studies.accuracy.exact import end_overlap_ratio
 from granflow.studies.collision_bench import FORCES_TO_END, Collision
 from granflow.studies.head_on import head_on_bench, share_to_end
 
@@ -153,7 +152,7 @@ class AccuracyBench:
         last = int(acting[-1]) if len(acting) else 0
         if not parted or last < 3 or numbers[last + 1] - numbers[last - 3] != FORCES_TO_END:
             return restitution, np.nan, largest
-        end_ratio = end_overlap_ratio(self.studied_law.law_name, self.kinds[pair // PHASES].restitution)
+        end_ratio = self.kinds[pair // PHASES].exact.end_ratio
         if end_ratio is None:
             end = numbers[last] + share_to_end(force[last - 3 : last + 1], overlap[last : last + 2])
         else:  # free flight from this step on

@@ -12,20 +12,26 @@ from granflow.contact import theory
 class Exact:
     """Exact solution of a collision.
 
-    Restitution, duration [s], time of the maximum overlap after first contact [s], maximum overlap [m].
+    Restitution, duration [s], time of the maximum overlap after first contact [s], maximum overlap [m]; overlap at
+    which the force vanishes during unloading over the maximum, None where it depends on a dashpot.
     """
 
     restitution: float
     duration: float
     peak_time: float
     overlap_max: float
+    end_ratio: float | None
 
 
 def zhou(e: float, k: float, mass: float, velocity: float) -> Exact:
-    """Zhou's model (Zhou 2011, Eqs. 5 and 13-15); `k` Hertz stiffness [N/m^1.5], `mass` effective [kg]."""
+    """Zhou's model (Zhou 2011, Eqs. 5 and 13-15); `k` Hertz stiffness [N/m^1.5], `mass` effective [kg].
+
+    A contact ends at x = 1 - y of the maximum overlap, with y the root of Eq. 8.
+    """
     scale = float(theory.time_scale(k, mass, velocity))
     duration = float(theory.duration(e, k, mass, velocity))
-    return Exact(e, duration, theory.LOADING_DURATION * scale, float(theory.overlap_max(k, mass, velocity)))
+    largest, end_ratio = float(theory.overlap_max(k, mass, velocity)), 1.0 - float(theory.recovery(e))
+    return Exact(e, duration, theory.LOADING_DURATION * scale, largest, end_ratio)
 
 
 def linear(e: float, k: float, mass: float, velocity: float) -> Exact:
@@ -34,7 +40,7 @@ def linear(e: float, k: float, mass: float, velocity: float) -> Exact:
     `e`: restitution, `k`: Hertz stiffness [N/m^1.5], `mass`: effective [kg], `velocity` [m/s].
     """
     oscillator = _Oscillator(float(theory.equivalent_spring(k, mass, velocity)), mass, velocity, e)
-    return Exact(e, oscillator.end, oscillator.peak, float(oscillator.at(oscillator.peak)))
+    return Exact(e, oscillator.end, oscillator.peak, float(oscillator.at(oscillator.peak)), 0.0 if e == 1.0 else None)
 
 
 def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
@@ -49,21 +55,11 @@ def hertz(e: float, k: float, mass: float, velocity: float) -> Exact:
     oscillator = _Oscillator(0.8 * k, mass, velocity, e)
     rise = _contact_time(oscillator, 0.0, oscillator.peak)
     fall = rise if e == 1.0 else _contact_time(oscillator, oscillator.peak, oscillator.end)
-    return Exact(e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8)
+    return Exact(e, rise + fall, rise, float(oscillator.at(oscillator.peak)) ** 0.8, 0.0 if e == 1.0 else None)
 
 
 EXACT: Mapping[str, Callable[[float, float, float, float], Exact]] = {"zhou": zhou, "hertz": hertz, "linear": linear}
 """Exact solution by name of the contact model; arguments as in `zhou`."""
-
-
-def end_overlap_ratio(law: str, e: float) -> float | None:
-    """Overlap at which the force vanishes during unloading, over the maximum; None where it depends on a dashpot.
-
-    For Zhou's model x = 1 - y, with y the root of Eq. 8 (Zhou 2011).
-    """
-    if law == "zhou":
-        return 1.0 - float(theory.recovery(e))
-    return 0.0 if e == 1.0 else None
 
 
 class _Oscillator:

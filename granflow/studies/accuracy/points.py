@@ -1,17 +1,13 @@
 """Points of the two-particle study: errors and wall time of one kind of collision at one time step."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
-from multiprocessing import active_children, get_context
 
 import numpy as np
 
-from granflow import GranflowError, SceneError
-from granflow.studies.accuracy.axes import INTEGRATOR, PHASES, STEPS, CollisionKind, StudiedLaw
+from granflow import SceneError
+from granflow.studies.accuracy.axes import PHASES, STEPS, CollisionKind, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, AccuracyBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
@@ -37,7 +33,6 @@ class StudyPoint:
     """
 
     law: str
-    integrator: str
     precision: str
     steps: float
     time_step: float
@@ -60,10 +55,9 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class StudyLine:
-    """All points of one contact model, integrator and precision: each number of steps for each kind of collision."""
+    """All points of one contact model and precision: each number of steps for each kind of collision."""
 
     law: str
-    integrator: str
     precision: str
     points: tuple[StudyPoint, ...]
 
@@ -105,28 +99,6 @@ def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
     return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
 
 
-@contextmanager
-def worker_process() -> Iterator[ProcessPoolExecutor]:
-    """One worker process: Taichi supports one precision per process.
-
-    The process is started with the method spawn and ends with the `with` block, also on an interrupt. Raises
-    GranflowError if the process dies.
-    """
-    process = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
-    try:
-        yield process
-    except BrokenProcessPool:
-        raise GranflowError(
-            "A process of this study ended unexpectedly, possibly due to lack of memory: run it again."
-        ) from None
-    except BaseException:
-        for child in active_children():
-            child.terminate()
-        raise
-    finally:
-        process.shutdown(cancel_futures=True)
-
-
 def measured_line(
     studied_law: StudiedLaw,
     precision: str = "f64",
@@ -148,7 +120,7 @@ def measured_line(
             refused.append(count)
     bench.free()
     descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
-    return StudyLine(studied_law.name, INTEGRATOR, precision, tuple(points)), descriptions if refused else []
+    return StudyLine(studied_law.name, precision, tuple(points)), descriptions if refused else []
 
 
 def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
@@ -157,7 +129,7 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     Wall times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
-    shared = {"law": bench.studied_law.name, "integrator": INTEGRATOR, "precision": bench.precision,
+    shared = {"law": bench.studied_law.name, "precision": bench.precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip

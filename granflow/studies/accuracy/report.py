@@ -6,11 +6,7 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.studies.accuracy import axes
-from granflow.studies.accuracy.axes import (
-    INTEGRATOR,
-    STUDIED_LAWS,
-    StudiedLaw,
-)
+from granflow.studies.accuracy.axes import STUDIED_LAWS
 from granflow.studies.accuracy.collisions import REPEATS
 from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
 from granflow.studies.accuracy.orders import fitted_order
@@ -20,7 +16,6 @@ from granflow.studies.accuracy.points import (
     StudyLine,
     columns,
     measured_line,
-    worker_process,
 )
 from granflow.studies.accuracy.recommend import default_sentence, recommendation, table_heads, table_rows, velocity_rows
 from granflow.studies.figures import Drawing
@@ -43,29 +38,22 @@ class TwoBodyStudy:
 
 
 def measure_two_bodies(
-    target: float,
-    full: bool = False,
-    report: Callable[[str], None] = lambda text: None,
-    studied_laws: Sequence[StudiedLaw] = STUDIED_LAWS,
-    precisions: Sequence[str] = axes.PRECISIONS,
-    steps: Sequence[float] | None = None,
+    target: float, full: bool = False, report: Callable[[str], None] = lambda text: None
 ) -> TwoBodyStudy:
-    """Measure every combination, each precision in a separate process.
+    """Measure every combination.
 
     `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages. `steps`: numbers of steps per collision instead of the default ones. Raises GranflowError if a process
-    dies.
+    messages.
     """
-    counts = steps or (axes.FULL_STEPS if full else axes.STEPS)
+    counts = axes.FULL_STEPS if full else axes.STEPS
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
-    for precision in precisions:
-        with worker_process() as process:
-            for studied_law in studied_laws:
-                report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
-                line, problems = process.submit(measured_line, studied_law, precision, counts, repeats, 1).result()
-                lines.append(line)
-                refused += problems
+    for precision in axes.PRECISIONS:
+        for studied_law in STUDIED_LAWS:
+            report(f"{studied_law.name}, {precision}")
+            line, problems = measured_line(studied_law, precision, counts, repeats, threads=1)
+            lines.append(line)
+            refused += problems
     return TwoBodyStudy(tuple(lines), tuple(dict.fromkeys(refused)), target)
 
 
@@ -101,6 +89,6 @@ def _orders(lines: Sequence[StudyLine]) -> PageTable:
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
-        rows.append((line.law, line.integrator, line.precision, *(order.text if order else "–" for order in orders)))
-    heads = ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
+        rows.append((line.law, line.precision, *(order.text if order else "–" for order in orders)))
+    heads = ("contact model", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
     return PageTable(heads, rows)

@@ -22,7 +22,6 @@ from granflow import (
     steady_flow,
 )
 from granflow.contact import theory
-from granflow.studies.accuracy.scene_runs import longest_run
 from granflow.studies.compare.bed_statistics import BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival
 from granflow.studies.compare.variants import LawVariant, automatic_plan
@@ -100,7 +99,7 @@ def run_variant(
     assert variant.scene is not None
     scene = variant.scene
     heights, forces = BedHeights.of(scene), ForceHistogram()
-    end, output = min(longest_run(scene), until or np.inf), scene.output
+    end, output = min(scene.longest_duration, until or np.inf), scene.output
     try:
         spacing = hertz_duration(scene, reference_velocity) / SAMPLES_PER_CONTACT
         bursts_observer = ContactBursts(list(bursts(end, BURSTS, SAMPLES, spacing)), spacing)

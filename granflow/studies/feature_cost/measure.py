@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from granflow import GranflowError, ParticleData, Plan, Scene, Simulation, estimate_memory
-from granflow.studies.accuracy.scene_runs import longest_run
 from granflow.studies.feature_cost.variants import FeatureVariant, variants_of
 
 SHARE_BEFORE = 1.0 / 3.0
@@ -72,7 +71,7 @@ def feature_costs(
 
     Raises GranflowError without particles at that time, RunError if a variant aborts.
     """
-    end = SHARE_BEFORE * longest_run(scene) if until is None else until
+    end = SHARE_BEFORE * scene.longest_duration if until is None else until
     report(f"Running to {end:.3g} s")
     baseline = Simulation(scene, arch=arch, threads=threads)  # type: ignore[arg-type]
     baseline.run(until=end)

@@ -88,8 +88,8 @@ PAPER_CASES = (
 """Yield velocities [m/s] of the paper, from Stevens & Hrenya (2005)."""
 
 
-def small_soft_case(poisson_ratio: float = 0.3) -> PaperCase:
-    """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; the paper gives no Poisson ratio."""
-    solid = Solid(1e8, poisson_ratio, 1e3)
-    material = {"young_modulus": 1e8, "poisson_ratio": poisson_ratio, "density": 1e3}
+def small_soft_case() -> PaperCase:
+    """Spheres of the estimate below Eq. 19: 1e-4 m, 1e8 Pa, 1e3 kg/m3; no Poisson ratio is given, 0.3 is chosen."""
+    solid = Solid(1e8, 0.3, 1e3)
+    material = {"young_modulus": 1e8, "poisson_ratio": 0.3, "density": 1e3}
     return PaperCase("estimate", "R = 0.1 mm, E = 0.1 GPa", solid, material, diameter=2e-4)

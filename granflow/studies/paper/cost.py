@@ -38,8 +38,8 @@ class Cost:
     nanoseconds: float
 
 
-def costs(candidate_models: Mapping[str, CandidateModel], repeats: int = REPEATS) -> dict[str, Cost]:
-    """Measure the time per step of all models on the same compressed lattice, alternating, `repeats` times.
+def costs(candidate_models: Mapping[str, CandidateModel]) -> dict[str, Cost]:
+    """Measure the time per step of all models on the same compressed lattice, alternating, REPEATS times.
 
     The result is relative to BASE, which must be among the models; median and quartiles over the repeats.
     """
@@ -47,7 +47,7 @@ def costs(candidate_models: Mapping[str, CandidateModel], repeats: int = REPEATS
     for simulation in simulations.values():
         simulation.step(STEPS)
     times = {name: np.array([]) for name in simulations}
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         for name, simulation in simulations.items():
             times[name] = np.append(times[name], _timed(simulation))
     for simulation in simulations.values():

@@ -144,17 +144,14 @@ def mean_overlap_share(e: float) -> float:
 def sliding_solution(setup: ImpactSetup, before: ImpactMotion) -> ImpactMotion:
     """Motion after an impact that slides throughout, with Zhou's model.
 
-    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/R). The tangential impulse is
-    mu (1 + e) m v, its lever arm the radius minus the overlap; textbook relations use R. For a partner sphere each
-    sphere has half of the overlap.
+    v_n' = e v,  v_t' = v_t - mu (1 + e) v,  R w' = R w + (5/2) mu (1 + e) v (1 - <d>/(2 R)). The tangential impulse is
+    mu (1 + e) m v, its lever arm the radius minus half of the overlap; textbook relations use R.
     """
     speed, direction = -before.normal, np.sign(before.slip(setup.radius))
     k, mass = setup.reduced
     overlap = mean_overlap_share(setup.restitution) * theory.overlap_max(k, mass, speed)
-    other = setup.partner_radius
-    share = 1.0 if other is None else other / (other + setup.radius)
     change = direction * setup.friction * (1.0 + setup.restitution) * speed
-    arm = 1.0 - share * overlap / setup.radius
+    arm = 1.0 - 0.5 * overlap / setup.radius
     return ImpactMotion(
         setup.restitution * speed, before.along - change, before.spin + 2.5 * change * arm / setup.radius
     )  # fmt: skip
@@ -178,10 +175,10 @@ def published(source: str) -> dict[str, np.ndarray]:
     return {name: np.array([(float(x), float(y)) for each, x, y in rows if each == name]) for name, _, _ in rows}
 
 
-def at_angles(angle: np.ndarray, speed: float = SPEED_4) -> ImpactMotion:
-    """Motion without spin at angles (n,) from the normal [deg] and a speed [m/s]."""
+def at_angles(angle: np.ndarray) -> ImpactMotion:
+    """Motion without spin at angles (n,) from the normal [deg] at SPEED_4."""
     turned = np.radians(angle)
-    return ImpactMotion(-speed * np.cos(turned), speed * np.sin(turned), np.zeros(len(angle)))
+    return ImpactMotion(-SPEED_4 * np.cos(turned), SPEED_4 * np.sin(turned), np.zeros(len(angle)))
 
 
 def with_slip(ratio: np.ndarray) -> ImpactMotion:

@@ -78,7 +78,7 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
     change = (after.spin - sweep.before.spin)[sliding]
     textbook = 2.5 * (closed_form.along - sweep.before.along)[sliding] / -radius
     remark = (
-        f"Textbook relations use the radius as lever arm instead of the radius minus the overlap: "
+        f"Textbook relations use the radius as lever arm instead of the radius minus half of the overlap: "
         f"{100.0 * float(np.max(np.abs(change / textbook - 1.0))):.2g} % less spin."
     )
     expected = (closed_form.spin - sweep.before.spin)[sliding]

@@ -165,16 +165,16 @@ def estimate_run(velocities: np.ndarray = ESTIMATE_VELOCITIES) -> Outcomes:
     return collide_all("zhou", pairs, shortest / STEPS_PER_CONTACT)
 
 
-def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray = ESTIMATE_VELOCITIES) -> FigureData:
+def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
     """Eq. 19: equivalent spring of both materials and of the estimate in the paper.
 
-    `columns`: from `velocity_columns`; `estimate`: from `estimate_run` at the same `velocities` (n,) [m/s].
+    `columns`: from `velocity_columns`; `estimate`: from `estimate_run`.
     """
     case = small_soft_case()
-    springs, count = case.springs(velocities), len(velocities)
+    springs, count = case.springs(ESTIMATE_VELOCITIES), len(ESTIMATE_VELOCITIES)
     combined = {
         "material": np.concatenate([columns["material"], np.repeat(case.name, count)]),
-        "velocity": np.concatenate([columns["velocity"], velocities]),
+        "velocity": np.concatenate([columns["velocity"], ESTIMATE_VELOCITIES]),
         "spring_theory": np.concatenate([columns["spring_theory"], springs]),
         "spring_simulated": np.concatenate([columns["spring_simulated"], spring_of(estimate)]),
     }
@@ -189,7 +189,10 @@ def spring_figure(columns: Columns, estimate: Outcomes, velocities: np.ndarray =
     deviations = (
         _compared(columns, "spring", "the spring of the steels from Eq. 19"),
         relative_deviation(
-            "the spring of the estimate", spring_of(estimate), springs, lambda index: f"{velocities[index]:.3g} m/s"
+            "the spring of the estimate",
+            spring_of(estimate),
+            springs,
+            lambda index: f"{ESTIMATE_VELOCITIES[index]:.3g} m/s",
         ),
     )
     return FigureData("equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 3.0)

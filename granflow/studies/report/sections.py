@@ -91,11 +91,12 @@ def plan(record: Run) -> tuple[str, str]:
 def machine(record: Run) -> PageTable:
     """Versions, backend and machine of each session."""
     rows = [
-        (each.started, each.arch, each.precision, each.compiled and f"{each.compiled} s", each.versions,
+        (each.started, each.arch, each.precision, each.threads, each.compiled and f"{each.compiled} s", each.versions,
          each.resumed_from)
         for each in sessions(record.log)
     ]  # fmt: skip
-    return PageTable(("start", "backend", "precision", "compilation", "versions and system", ""), rows, FROM_LOG)
+    header = ("start", "backend", "precision", "threads", "compilation", "versions and system", "")
+    return PageTable(header, rows, FROM_LOG)
 
 
 def warnings(record: Run) -> PageTable:

@@ -42,7 +42,7 @@ RESOLUTION = 1.02
 FRICTION = 10.0
 """Friction coefficient that prevents sliding."""
 
-LAWS: Mapping[str, tuple[Any, float]] = {
+LAWS: Mapping[str, tuple[Any, float | None]] = {
     "zhou": ("zhou", 0.5),
     "zhou, e 0": ("zhou", 0.0),
     "zhou, damped 0.2": ({"law": "zhou", "damping_ratio": 0.2}, 0.5),
@@ -52,7 +52,7 @@ LAWS: Mapping[str, tuple[Any, float]] = {
     "linear, e 1": ({"law": "linear", "stiffness": {"value": SPRING}}, 1.0),
     "linear, e 0.5": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.5),
     "linear, e 0.05": ({"law": "linear", "stiffness": {"value": SPRING}}, 0.05),
-    "thornton": ({"law": "thornton", "yield_ratio": 1.6}, 0.5),
+    "thornton": ({"law": "thornton", "yield_ratio": 1.6}, None),
     "walton_braun": (
         {"law": "walton_braun", "stiffness": {"value": SPRING}, "unloading": "constant"}, 0.5
     ),
@@ -125,9 +125,7 @@ def _scene(law: str, friction: float) -> Scene:
     """
     normal, restitution = LAWS[law]
     solid = {"young_modulus": YOUNG, "poisson_ratio": POISSON, "yield_strength": YIELD}
-    pair: dict[str, Any] = {"friction": friction}
-    if law != "thornton":
-        pair["restitution"] = restitution
+    pair = {"friction": friction} | ({} if restitution is None else {"restitution": restitution})
     names = ("light", "heavy")
     side, count = 100 * RADIUS, max(len(lattice.centers) for lattice in LATTICES.values())
     region = {"box": {"min": [-side] * 3, "max": [side] * 3}}

@@ -1,5 +1,6 @@
 """The page of a sweep."""
 
+from math import floor, inf, log10
 from pathlib import Path
 
 from granflow.io.atomic_files import write_text
@@ -76,7 +77,7 @@ def _points(table: ShownTable) -> PageTable:
     rows = []
     for row in table.rows:
         values = [level_text(table.value(row, name)) for name in table.parameters]
-        numbers = [_with_error(table.mean(row, name), table.standard_error(row, name)) for name in table.quantities]
+        numbers = [with_error(table.mean(row, name), table.standard_error(row, name)) for name in table.quantities]
         rows.append([*values, row.outcome.status, *numbers, " ".join(row.directories), row.outcome.reason])
     parameters, quantities = map(table.parameter_label, table.parameters), map(table.label, table.quantities)
     heads = [*parameters, "status", *quantities, "runs", "reason"]
@@ -85,8 +86,20 @@ def _points(table: ShownTable) -> PageTable:
     return PageTable(heads, rows)
 
 
-def _with_error(value: float, error: float) -> str:
-    """A number with its standard error, if there is one; a dash without a number."""
+FIXED_POINT = (1e-4, 1e3)
+"""Standard errors between these bounds are written without an exponent."""
+
+
+def with_error(value: float, error: float) -> str:
+    """A number and its standard error with two digits, if there is one: 19.1 ± 4.1; a dash without a number."""
     if value != value:
         return "–"
-    return f"{value:.5g}" + (f" ± {error:.2g}" if error == error else "")
+    if error != error:
+        return f"{value:.5g}"
+    if not 0.0 < error < inf or not abs(value) < inf:
+        return f"{value:.5g} ± {error:.2g}"
+    last = floor(log10(error)) - 1  # power of ten of the last digit
+    if FIXED_POINT[0] <= error < FIXED_POINT[1]:
+        return " ± ".join(f"{round(each, -last):.{max(-last, 0)}f}" for each in (value, error))
+    digits = max(floor(log10(abs(value) or error)) - last, 0)
+    return f"{value:.{digits}e} ± {error:.1e}"

@@ -19,6 +19,9 @@ MOST_LEVELS = 12
 
 BINS = 8
 
+EDGE_ROUNDING = 1e-4
+"""A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this share."""
+
 MOST_LINES = 500
 """Largest number of runs in the parallel coordinates."""
 
@@ -54,24 +57,37 @@ def main_effects(table: ShownTable, quantity: str) -> Plot:
              "marker": {"color": COLORS[5], "size": 5, "opacity": 0.6}, "hoverinfo": "text",
              "hovertext": [hover(row, table) for row in rows], **axes}
         )  # fmt: skip
-        data.append({**_mean_line(table, values, rows, quantity), **axes})
-        binned = binned or len(_groups(values)) < len(set(values))
-    titles = [table.parameter_label(name) for name in table.parameters]
+        groups = _groups(values, name in table.logarithmic)
+        data.append({**_mean_line(table, groups, values, rows, quantity), **axes})
+        binned = binned or len(groups) < len(set(values))
     has_errors = any(any(each["error_y"]["array"]) for each in data if "error_y" in each)
     caption = (
         f"{table.label(quantity)}: mean over all points with the same value of a parameter"
         f"{', or in equal intervals of it' if binned else ''} (line){', with its standard error' if has_errors else ''}"
         ", and all points (light)"
     )
-    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row_of_axes(titles, table.label(quantity)))})
+    row = row_of_axes([table.parameter_label(name) for name in table.parameters], table.label(quantity))
+    for k, name in enumerate(table.parameters):
+        row[f"xaxis{k + 1 if k else ''}"] |= _scale(table, name)
+    return Plot(caption, {"data": data, "layout": layout(HEIGHT, **row)})
 
 
-def _mean_line(table: ShownTable, values: Sequence[Any], rows: Sequence[PointRow], quantity: str) -> dict[str, Any]:
-    """Means with standard errors over the values of one parameter.
+def _scale(table: ShownTable, name: str) -> dict[str, Any]:
+    """Type of the axis of a parameter or quantity, if it is not linear."""
+    return {"type": "log", "exponentformat": "none"} if name in table.logarithmic else {}
+
+
+def _mean_line(
+    table: ShownTable,
+    groups: Sequence[tuple[Any, list[int]]],
+    values: Sequence[Any],
+    rows: Sequence[PointRow],
+    quantity: str,
+) -> dict[str, Any]:
+    """Means with standard errors over the values of one parameter, for each of the `groups`.
 
     The error of a mean follows from the scatter over the seeds; within an interval, from the scatter of its points.
     """
-    groups = _groups(values)
     means, errors, positions = [], [], []
     for position, members in groups:
         numbers = np.array([table.mean(rows[k], quantity) for k in members])
@@ -89,15 +105,21 @@ def _mean_line(table: ShownTable, values: Sequence[Any], rows: Sequence[PointRow
     }  # fmt: skip
 
 
-def _groups(values: Sequence[Any]) -> list[tuple[Any, list[int]]]:
-    """Indices of the points with each value, or in each of BINS intervals with their mean value, in order."""
+def _groups(values: Sequence[Any], logarithmic: bool) -> list[tuple[Any, list[int]]]:
+    """Indices of the points with each value, or in each of BINS intervals with their mean value, in order.
+
+    logarithmic:  whether the intervals have equal ratios, and the means are geometric
+    """
     distinct = sorted(set(values)) if all(isinstance(v, float) for v in values) else list(dict.fromkeys(values))
     if len(distinct) <= MOST_LEVELS or not all(isinstance(v, float) for v in distinct):
         return [(value, [k for k, each in enumerate(values) if each == value]) for value in distinct]
-    edges = np.linspace(distinct[0], distinct[-1], BINS + 1)
-    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    scaled = np.log(values) if logarithmic else np.array(values)
+    fraction = (scaled - scaled.min()) / (scaled.max() - scaled.min())
+    number = np.minimum(fraction * BINS + EDGE_ROUNDING, BINS - 1).astype(int)
     members = [np.flatnonzero(number == k).tolist() for k in range(BINS)]
-    return [(plain(float(np.mean([values[k] for k in each]))), each) for each in members if each]
+    means = [float(scaled[each].mean()) for each in members if each]
+    positions = np.exp(means) if logarithmic else means
+    return list(zip((plain(float(each)) for each in positions), filter(None, members), strict=True))
 
 
 def scatter_matrix(table: ShownTable) -> Plot | None:
@@ -106,10 +128,10 @@ def scatter_matrix(table: ShownTable) -> Plot | None:
     if len(table.parameters) + len(table.quantities) <= 2:
         return None
     dimensions = [
-        {"label": _in_lines(table.parameter_label(name)), "values": [plain(table.value(row, name)) for row in rows]}
+        {"label": in_lines(table.parameter_label(name)), "values": [plain(table.value(row, name)) for row in rows]}
         for name in table.parameters
     ] + [
-        {"label": _in_lines(table.label(name)), "values": [plain(table.mean(row, name)) for row in rows]}
+        {"label": in_lines(table.label(name)), "values": [plain(table.mean(row, name)) for row in rows]}
         for name in table.quantities
     ]
     data = {
@@ -119,12 +141,20 @@ def scatter_matrix(table: ShownTable) -> Plot | None:
     }  # fmt: skip
     look = layout(MATRIX_CELL * len(dimensions) + 110)
     look |= {"margin": look["margin"] | {"b": 100}, "font": look["font"] | {"size": 10}}
+    for k, name in enumerate((*table.parameters, *table.quantities)):
+        for along in "xy":
+            look[f"{along}axis{k + 1 if k else ''}"] = {"automargin": True, **_scale(table, name)}
     return Plot("All parameters and quantities against each other", {"data": [data], "layout": look})
 
 
-def _in_lines(text: str) -> str:
-    """A label with its parts in lines of their own, so that those of narrow plots do not overlap."""
-    return re.sub(r"(\.|_| (?=\[))", r"\1<br>", text)
+def in_lines(text: str, width: int = 14) -> str:
+    """A label in lines of up to `width` characters, which end at a dot, an underline or before a unit."""
+    lines = [""]
+    for part in re.split(r"(?<=[._])|(?= \[)", text):
+        if len(lines[-1] + part) > width and lines[-1]:
+            lines.append("")
+        lines[-1] += part
+    return "<br>".join(line.strip() for line in lines)
 
 
 def heat_maps(table: ShownTable) -> list[Plot]:
@@ -181,7 +211,11 @@ def parallel_coordinates(table: ShownTable) -> Plot:
     shown = rows[:: -(-len(rows) // MOST_LINES)]
     columns = {table.parameter_label(name): [table.value(row, name) for row in rows] for name in table.parameters}
     columns |= {table.label(name): [table.mean(row, name) for row in rows] for name in table.quantities}
-    shares = {name: dict(zip(map(id, rows), _shares(values), strict=True)) for name, values in columns.items()}
+    logarithmic = {table.parameter_label(name) for name in table.logarithmic}
+    shares = {
+        name: dict(zip(map(id, rows), _shares(np.log(values) if name in logarithmic else values), strict=True))
+        for name, values in columns.items()
+    }
     names, color = list(columns), table.label(table.quantities[0])
     data = [
         {"type": "scatter", "mode": "lines+markers", "x": names, "y": [shares[name][id(row)] for name in names],
@@ -201,7 +235,7 @@ def parallel_coordinates(table: ShownTable) -> Plot:
     return Plot(caption, {"data": data, "layout": layout(HEIGHT + 60, xaxis=x_axis, yaxis=y_axis)})
 
 
-def _shares(values: Sequence[Any]) -> list[float | None]:
+def _shares(values: Sequence[Any] | np.ndarray) -> list[float | None]:
     """Positions of the values in their range, 0 to 1; of text in the order of its first appearance."""
     if not all(isinstance(each, int | float) for each in values):
         names = list(dict.fromkeys(map(str, values)))

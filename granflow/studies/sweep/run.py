@@ -45,14 +45,15 @@ class SweepFile:
     read: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any], folder: Path | None = None) -> SweepFile:
+def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
     """Read a sweep from a YAML file, or from a mapping with the same keys.
 
-    The path of the scene is relative to the folder of the file, or to `folder`. Raises FileError with all problems.
+    The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with all
+    problems.
     """
     if isinstance(source, Mapping):
         content, document = validated_mapping(source, SweepInput)
-        folder, name = folder or Path(), "sweep"
+        folder, name = Path(), "sweep"
     else:
         content, document = validated_file(Path(source), SweepInput, "sweep")
         folder, name = Path(source).parent, Path(source).stem

@@ -15,11 +15,13 @@ from granflow.studies.sweep.table import PointRow, SweepTable
 class ShownTable:
     """A sweep whose numbers are in the units of the page.
 
-    `units`: unit in which the sweep file gives the values of each parameter; empty: SI.
+    `units`: unit in which the sweep file gives the values of each parameter; empty: SI. `logarithmic`: parameters with
+    `scale: log`.
     """
 
     table: SweepTable
     units: Mapping[str, str]
+    logarithmic: frozenset[str]
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -64,7 +66,9 @@ class ShownTable:
 
 def shown(sweep: SweepInput, table: SweepTable) -> ShownTable:
     """The table of a sweep in the units of the page."""
-    return ShownTable(table, {name: _given_unit(variation) for name, variation in sweep.vary.items()})
+    units = {name: _given_unit(variation) for name, variation in sweep.vary.items()}
+    ranges = {name: each for name, each in sweep.vary.items() if isinstance(each, ValueRange)}
+    return ShownTable(table, units, frozenset(name for name, each in ranges.items() if each.scale == "log"))
 
 
 def _given_unit(variation: Any) -> str:

@@ -1,14 +1,15 @@
 const NARROW = 600;  // width of a plot [px] below which plots in a row are stacked
 
-// Plots in a row below each other: their x axes over the full width, their y axes in equal parts of the height.
+// Plots in a row below each other: their x axes over the full width, each with the height that it has in a row.
 function stack(layout) {
-  const count = Object.keys(layout).filter((key) => key.startsWith("xaxis")).length;
+  const count = Object.keys(layout).filter((key) => key.startsWith("xaxis")).length, gap = 64;
+  const {t, b} = layout.margin, height = layout.height - t - b, inner = count * height + (count - 1) * gap;
   for (let k = 0; k < count; k++) {
-    const number = k ? k + 1 : "", top = 1 - k / count;
+    const number = k ? k + 1 : "", top = 1 - k * (height + gap) / inner;
     layout["xaxis" + number].domain = [0, 1];
-    layout["yaxis" + number].domain = [top - 0.7 / count, top];
+    layout["yaxis" + number].domain = [Math.max(top - height / inner, 0), top];
   }
-  layout.height *= count;
+  layout.height = inner + t + b;
 }
 
 // The legend below the title of the time axis, at its full height: the figure grows, not the plot.
@@ -39,8 +40,8 @@ function themed({data, layout}) {
 function drawPlot(figure) {
   const content = JSON.parse(figure.querySelector("script").textContent), {layout} = content;
   const plot = figure.querySelector("div"), narrow = plot.clientWidth < NARROW;
-  if (narrow && layout.xaxis2 && !layout.grid) stack(layout);
-  if (narrow) layout.font.size = 11;
+  if (narrow && layout.xaxis2?.domain) stack(layout);
+  if (narrow) layout.font.size = Math.min(layout.font.size, 11);
   const look = {responsive: true, displaylogo: false, showSendToCloud: false,
     displayModeBar: narrow ? false : "hover"};
   const draw = () => {

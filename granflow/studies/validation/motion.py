@@ -37,8 +37,8 @@ MFIX = "MFiX verification manual, Garg et al. 2012, doi 10.1016/j.powtec.2011.09
 LEVER_ARM = "the overlap, 0.1 % of the radius, shortens the lever arm"
 """Reason of ROLLING_ERROR."""
 STACK_STIFFNESS, STACK_RADIUS, STACK_DENSITIES = 1000.0, 5e-4, np.array([2e4, 1e4])
-STACK_START, STACK_HEIGHT, STACK_END = np.array([4.5e-4, 1.35e-3]), 1.8e-3, 1e-3
-"""Stiffness [N/m], radius, densities, initial heights, distance of the plates [m] and end [s] of `mfix_stack`."""
+STACK_START, STACK_HEIGHT = np.array([4.5e-4, 1.35e-3]), 1.8e-3
+"""Stiffness [N/m], radius, densities, initial heights, and distance of the plates [m] of `mfix_stack`."""
 
 
 def motion_cases() -> list[ValidationCase]:

@@ -30,7 +30,7 @@ def sliding_cases(run: Mapping[str, ImpactSweep]) -> list[ValidationCase]:
     return [
         ValidationCase(
             "Oblique impacts", f"{each.quantity}, at {each.where}: simulated over closed form", 1.0,
-            "momentum balance of a contact that slides throughout (Chung & Ooi 2011), with the lever arm R - overlap",
+            "momentum balance of a contact that slides throughout (Chung & Ooi 2011), with the lever arm R - overlap/2",
             1.0 + each.largest, "1", TARGET, "time step of 0.5 % of the shortest phase of the contact",
             remark="Impacts that stick are not compared: the published curves use other conventions "
             "(tests 6 and 8: contact_models/mindlin.md)",

@@ -18,9 +18,10 @@ from granflow.studies.validation.cooling import MODULI, QUICK_COUNT, haff_cases,
 from granflow.studies.validation.motion import motion_cases
 from granflow.studies.validation.oblique import oblique_cases
 from granflow.studies.validation.peers.compare import CASES, Stored, peer_cases, run_peers
+from granflow.studies.validation.peers.silo import SILO
 from granflow.studies.validation.rheology import cell_cases, layer_cases
 from granflow.studies.validation.silo import QUICK_COUNT as QUICK_SILO
-from granflow.studies.validation.silo import SINGLE, discharge_cases, janssen_cases
+from granflow.studies.validation.silo import discharge_cases, janssen_cases
 from granflow.studies.validation.vibrated import vibrated_cases
 
 Family = Callable[[], list[ValidationCase]]
@@ -33,11 +34,13 @@ TWO_BODY: Mapping[str, Family] = {
     "vibrated particle": vibrated_cases,
 }
 """Functions that simulate cases of one or two particles, by the name in progress messages."""
+QUICK_REPEATS = 2
+"""Runs of a silo that the quick validation compares with stored figures of LIGGGHTS and LAMMPS."""
 QUICK: Mapping[str, Family] = {
     **TWO_BODY,
     "cooling gas": partial(haff_cases, MODULI[1:2], QUICK_COUNT),
     "narrow silo": partial(janssen_cases, QUICK_SILO),
-    "discharge of a silo": partial(discharge_cases, (SINGLE,), False),
+    "discharge of a silo": partial(peer_cases, SILO.name, None, QUICK_REPEATS),
     "sheared box": cell_cases,
 }
 """Cases of `granflow validate --quick`."""

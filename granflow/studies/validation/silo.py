@@ -37,8 +37,6 @@ NARROW, WIDE = 36e-3, 74e-3
 """Radii [m] of the shipped silo, and of one that is as wide as Beverloo's law requires for WIDE_ORIFICE."""
 WIDE_ORIFICE = 14e-3
 """Radius [m] of the orifice of the wide silo, which is filled once."""
-SINGLE = 12e-3
-"""Radius of the orifice [m] of the shipped scene."""
 FLAT_COUNT = 4000
 """Particles of the shipped silo."""
 BULK_DENSITY, C, K = 1450.0, 0.58, 1.4
@@ -85,11 +83,11 @@ def silo_scene(count: int) -> Scene:
     })  # fmt: skip
 
 
-def contact_forces(snapshot: Snapshot, floor: int = 0) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+def contact_forces(snapshot: Snapshot) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Force [N] on the floor, and heights [m], normal and vertical forces [N] (c,) of the particles on the wall."""
     contacts = snapshot.contacts
     assert contacts is not None
-    of_floor, of_wall = contacts["wall"] == floor, contacts["wall"] == 1 - floor
+    of_floor, of_wall = contacts["wall"] == 0, contacts["wall"] == 1
     forces = (contacts["position_j"][of_wall, 2], contacts["normal_force"][of_wall], contacts["force"][of_wall, 2])
     return float(contacts["force"][of_floor, 2].sum()), *forces
 

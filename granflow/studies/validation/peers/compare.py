@@ -86,13 +86,14 @@ def joined(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, list[floa
     return {name: [value for run in runs for value in run[name]] for name in runs[0]}
 
 
-def peer_cases(name: str, peers: Stored | None = None) -> list[ValidationCase]:
+def peer_cases(name: str, peers: Stored | None = None, repeats: int | None = None) -> list[ValidationCase]:
     """Figures of LIGGGHTS and LAMMPS, and those of repeated runs of granflow from the same initial states.
 
-    peers:  figures of runs of the other codes; stored ones are taken for codes that are missing in it
+    peers:    figures of runs of the other codes; stored ones are taken for codes that are missing in it
+    repeats:  number of runs of granflow; None for that of the case
     """
     case = CASES[name]
-    ours = joined([case.samples(our_frames(case, repeat)) for repeat in range(case.repeats)])
+    ours = joined([case.samples(our_frames(case, repeat)) for repeat in range(repeats or case.repeats)])
     return compared(case, ours, stored_figures() | dict(peers or {}))
 
 

@@ -48,9 +48,8 @@ def figures(frames: Frames) -> dict[str, float]:
 
 
 REMARK = (
-    "The largest depth is that after the bed has bounced; it differs by 6 % between fillings. From the same settled "
-    "bed, the sphere is about 1 % less deep at its first stop in granflow than in LIGGGHTS and LAMMPS, at all time "
-    "steps: lever arms differ between the codes, and particles overlap by up to 23 % of their radius here"
+    "The largest depth is that after the bed has bounced; it differs by 6 % between fillings. Particles overlap by up "
+    "to 23 % of their radius here"
 )
 """Remark on this case."""
 IMPACT = PeerCase(
