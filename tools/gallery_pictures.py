@@ -39,6 +39,7 @@ OPTIONS = {
     "vibrated_bed": ["--view=0.3,-2,0.6", "--fit", "particles"],
     "surface_waves": ["--view=0.3,-2,0.6", "--fit", "particles"],
     "angle_of_repose": ["--view", "front", "--fit", "particles"],
+    "clumps": ["--view=0.4,-2,0.6", "--color", "clump", "--fit", "particles"],
     "brazil_nut": ["--cut", "--color", "radius", "--fit", "particles"],
     "mixer": ["--color", "group", "--fit", "particles"],
     "impact": ["--view=1,-2,2.5", "--color", "group", "--fit", "particles"],

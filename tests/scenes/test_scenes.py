@@ -25,7 +25,7 @@ TESTED_IN_PHYSICS = (
 )
 """Cases that tests/physics checks with smaller tolerances; as scenes they are slow tests."""
 DOSTA = tuple(f"dosta2024/{name}" for name in ("silo_large_orifice", "silo_small_orifice", "drum", "penetration"))
-LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", "impact", *DOSTA)
+LARGE = ("hopper", "vibrated_bed", "drum", "flat_silo", "column_collapse", "impact", "clumps", *DOSTA)
 
 REDUCED = {
     # An intruder of 8 mm and 1600 particles, the same ratio as in the full scene with 20 mm. Its kinetic energy is
