@@ -132,9 +132,9 @@ def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
     assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
     particles = last.particles
     arms = np.einsum("nij,nj->ni", matrices(particles["orientation"]), particles["clump_offset"])
-    apart = particles["position"] - particles["clump_position"] - arms
-    assert apart / 0.024 == pytest.approx(np.round(apart / 0.024), abs=1e-12)
-    assert (np.abs(np.round(apart / 0.024)).max(axis=1) > 0).any(), "some rods lie across a face"
+    shift = particles["position"] - particles["clump_position"] - arms
+    assert shift / 0.024 == pytest.approx(np.round(shift / 0.024), abs=1e-12)
+    assert (np.abs(np.round(shift / 0.024)).max(axis=1) > 0).any(), "some rods lie across a face"
 
 
 def test_outlets_delete_whole_clumps(taichi_f64):

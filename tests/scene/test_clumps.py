@@ -116,9 +116,9 @@ def test_random_orientations_are_uniform_and_follow_the_seed():
 
 
 def test_packed_clumps_do_not_overlap():
-    """The spheres around the clumps are apart, so that clumps are in any orientation."""
+    """The spheres around the clumps do not overlap: clumps are in any orientation."""
     group = clump_group([[0, 0, 0]]) | {"count": 60, "insert": {"kind": "pack", "region": REGION}}
     found = initial_particles(build_scene({"rods": group}))
     assert found.radius == pytest.approx(np.full(60, 5e-3))
-    apart = np.linalg.norm(found.position[:, None] - found.position, axis=2)
-    assert apart[~np.eye(60, dtype=bool)].min() > 1e-2
+    distance = np.linalg.norm(found.position[:, None] - found.position, axis=2)
+    assert distance[~np.eye(60, dtype=bool)].min() > 1e-2
