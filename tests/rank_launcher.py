@@ -23,8 +23,9 @@ OPEN_MPI = {
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
 }
-"""Variables with which Open MPI starts more ranks than cores, also for root in a container."""
+"""Variables with which Open MPI starts more ranks than cores, also for root in a container; idle ranks yield."""
 
 
 def environment():
