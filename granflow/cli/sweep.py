@@ -44,7 +44,7 @@ def sweep(options: argparse.Namespace) -> int:
 
 
 def say_run(progress: "Progress", event: str) -> None:
-    """Print the progress, and the name and status of a run that has ended."""
+    """Print the progress, and the parameter values and status of a run that has ended."""
     say(f"{progress}{event and '; '}{event}", flush=True)
 
 
