@@ -3,7 +3,7 @@
 import numpy as np
 from scene_builders import SOFT, build_scene, particle_group, plane
 
-from granflow.engine import stepper
+from granflow.engine import wall_poses
 from granflow.plan.capacities import WALL_BATCH
 from granflow.simulation import Simulation
 
@@ -24,8 +24,8 @@ def simulation_on_a_shaken_floor():
 def test_snapshots_between_steps_upload_no_poses(taichi_f64, monkeypatch):
     """300 steps with a snapshot after each 10 need the uploads of the start, and one per WALL_BATCH steps."""
     simulation, uploads = simulation_on_a_shaken_floor(), []
-    upload = stepper.upload_poses
-    monkeypatch.setattr(stepper, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step)))
+    upload = wall_poses.upload_poses
+    monkeypatch.setattr(wall_poses, "upload_poses", lambda state, step: (uploads.append(step), upload(state, step)))
     for _ in range(30):
         simulation.step(10)
         simulation.snapshot(contacts=True)

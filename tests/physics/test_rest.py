@@ -69,8 +69,8 @@ def test_particle_rolls_around_a_vertical_cylinder_without_falling(taichi_f64):
 
         (1 + K) z'' = -g - K W^2 (z - z0)      =>      z = z0 - g / (K W^2) (1 - cos(sqrt(K / (1 + K)) W t))
 
-    with K = I / (m a^2) and the distance a = R - d from the center to the wall (the golfer's dilemma; K = 2/5 for a
-    rigid sphere).
+    with K = I / (m a^2) and the distance a = R - d/2 from the center to the contact point (the golfer's dilemma;
+    K = 2/5 for a rigid sphere).
     """
     radius, path, rate = DIAMETER / 2, 0.045, 40.0
     mass, modulus = SOLID["density"] * np.pi * DIAMETER**3 / 6, SOLID["young_modulus"] / (2 * (1 - 0.25**2))
@@ -80,13 +80,13 @@ def test_particle_rolls_around_a_vertical_cylinder_without_falling(taichi_f64):
         [[path, 0.0, 0.05]],
         DIAMETER,
         velocity=[0.0, path * rate, 0.0],
-        angular_velocity=[0.0, 0.0, -path * rate / (radius - overlap)],
+        angular_velocity=[0.0, 0.0, -path * rate / (radius - 0.5 * overlap)],
     )
     walls = {"shell": shell | {"radius": path + radius - overlap}}
     scene = scene_at_rest({"sphere": sphere}, 0.3, "zhou", 0.5, walls=walls, numerics={})
     snapshots = run_and_sample(scene, 0.02)
     heights = np.array([snapshot.particles["position"][0, 2] for snapshot in snapshots])
-    inertia = 0.4 * (radius / (radius - overlap)) ** 2
+    inertia = 0.4 * (radius / (radius - 0.5 * overlap)) ** 2
     fall, angular_frequency = 9.81 / (inertia * rate**2), np.sqrt(inertia / (1 + inertia)) * rate
     expected = 0.05 - fall * (1 - np.cos(angular_frequency * times(snapshots)))
     np.testing.assert_allclose(heights, expected, atol=0.005 * fall)

@@ -38,7 +38,7 @@ def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
 def _of_particles(plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]) -> TouchingPair:
     """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
     radii, materials = np.array(sizes) / 2.0, (group.material, other.material)
-    masses = 4.0 / 3.0 * np.pi * radii**3 * [plan.solids[each].density for each in materials]
+    masses = [_mass(plan, each, radius) for each, radius in zip((group, other), radii, strict=True)]
     inverse = sum(0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True))
     radius_eff = float(1.0 / (1.0 / radii).sum())
     name = f"particles of {group.name if group is other else f'{group.name} and {other.name}'}"
@@ -49,6 +49,10 @@ def _of_particles(plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: t
 def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
     """A particle at a wall of the material `wall`; the relative overlap does not depend on its size (Hertz)."""
     radius, materials = 0.5 * group.diameters[0], (group.material, wall)
-    mass = sphere_mass(radius, plan.solids[group.material].density)
-    name = f"particles of {group.name} and walls of {wall}"
+    name, mass = f"particles of {group.name} and walls of {wall}", _mass(plan, group, radius)
     return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
+
+
+def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
+    """Mass [kg] of a particle of a group with a radius [m]."""
+    return sphere_mass(radius, plan.solids[group.material].density)

@@ -1,16 +1,12 @@
 """Points of the two-particle study: errors and wall time of one kind of collision at one time step."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
-from multiprocessing import active_children, get_context
 
 import numpy as np
 
-from granflow import GranflowError, SceneError
+from granflow import SceneError
 from granflow.studies.accuracy.axes import INTEGRATOR, PHASES, STEPS, CollisionKind, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, AccuracyBench, CollisionResults
 
@@ -103,28 +99,6 @@ def columns(points: Sequence[StudyPoint]) -> dict[str, np.ndarray]:
     """Columns of the CSV, one array (points,) per field of StudyPoint."""
     names = [each.name for each in fields(StudyPoint)]
     return dict(zip(names, map(np.array, zip(*map(astuple, points), strict=True)), strict=True))
-
-
-@contextmanager
-def worker_process() -> Iterator[ProcessPoolExecutor]:
-    """One worker process: Taichi supports one precision per process.
-
-    The process is started with the method spawn and ends with the `with` block, also on an interrupt. Raises
-    GranflowError if the process dies.
-    """
-    process = ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn"))
-    try:
-        yield process
-    except BrokenProcessPool:
-        raise GranflowError(
-            "A process of this study ended unexpectedly, possibly due to lack of memory: run it again."
-        ) from None
-    except BaseException:
-        for child in active_children():
-            child.terminate()
-        raise
-    finally:
-        process.shutdown(cancel_futures=True)
 
 
 def measured_line(

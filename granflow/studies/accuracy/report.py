@@ -19,7 +19,6 @@ from granflow.studies.accuracy.points import (
     StudyLine,
     columns,
     measured_line,
-    worker_process,
 )
 from granflow.studies.accuracy.recommend import default_sentence, recommendation, table_heads, table_rows, velocity_rows
 from granflow.studies.figures import Drawing
@@ -44,21 +43,20 @@ class TwoBodyStudy:
 def measure_two_bodies(
     target: float, full: bool = False, report: Callable[[str], None] = lambda text: None
 ) -> TwoBodyStudy:
-    """Measure every combination, each precision in a separate process.
+    """Measure every combination.
 
     `target`: relative error of the restitution. `full`: more time steps and repeats. `report` receives progress
-    messages. Raises GranflowError if a process dies.
+    messages.
     """
     counts = axes.FULL_STEPS if full else axes.STEPS
     repeats = 3 * REPEATS if full else REPEATS
     lines, refused = [], []
     for precision in axes.PRECISIONS:
-        with worker_process() as process:
-            for studied_law in STUDIED_LAWS:
-                report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
-                line, problems = process.submit(measured_line, studied_law, precision, counts, repeats, 1).result()
-                lines.append(line)
-                refused += problems
+        for studied_law in STUDIED_LAWS:
+            report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
+            line, problems = measured_line(studied_law, precision, counts, repeats, threads=1)
+            lines.append(line)
+            refused += problems
     return TwoBodyStudy(tuple(lines), tuple(dict.fromkeys(refused)), target)
 
 

@@ -5,7 +5,6 @@ several seeds.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from math import inf
 
@@ -14,7 +13,6 @@ import numpy as np
 from granflow import plan_for
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PRECISIONS
-from granflow.studies.accuracy.points import worker_process
 from granflow.studies.accuracy.scene_runs import (
     STEP_FAMILIES,
     RunOutcome,
@@ -163,33 +161,26 @@ def measure_scene(
         settings = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
             settings = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *settings]
-        with worker_process() as process:
-            for family, share in settings:
-                report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
-                runs.append(_run(process, task, family, share, phase, precision, seeds))
-                if runs[0].stopped:
-                    raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
+        for family, share in settings:
+            report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
+            runs.append(_run(task, family, share, phase, precision, seeds))
+            if runs[0].stopped:
+                raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
     count = sum(group.count for group in scene.particles.values())
     return _study(runs, finest, scene.title, (own_share, own_share * phase), count, len(seeds), target)
 
 
 def _run(
-    process: ProcessPoolExecutor,
-    task: SceneTask,
-    family: StepFamily,
-    share: float,
-    phase: float,
-    precision: str,
-    seeds: Sequence[int],
+    task: SceneTask, family: StepFamily, share: float, phase: float, precision: str, seeds: Sequence[int]
 ) -> _Runs:
-    """Run all seeds and measure the restitution error in the given process.
+    """Run all seeds and measure the restitution error.
 
     `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite. The time
     step of the adaptive family is that of the plan, which other limits can shorten.
     """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
-    outcomes = [process.submit(run_task, stepped.with_overrides(f"seed={seed}")).result() for seed in seeds]
-    error = inf if outcomes[0].stopped else process.submit(restitution_error, stepped).result()
+    outcomes = [run_task(stepped.with_overrides(f"seed={seed}")) for seed in seeds]
+    error = inf if outcomes[0].stopped else restitution_error(stepped)
     time_step = plan_for(stepped.scene()).time_step if family.name == "adaptive" else share * phase
     return _Runs(family.name, precision, share, time_step, error, outcomes)
 

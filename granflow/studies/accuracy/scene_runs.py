@@ -131,16 +131,16 @@ def run_task(task: SceneTask) -> RunOutcome:
     """
     scene = task.scene()
     means = _RunMeans(scene)
-    total_duration = longest_run(scene)
+    total_duration = scene.longest_duration
     interval = min(total_duration, task.until or total_duration) / SAMPLES
+    observer = on_interval(interval, means.update, ("particles", "totals"))
     try:
-        simulation = Simulation(scene, observers=[on_interval(interval, means.update, ("particles", "totals"))])
-        result = simulation.run(until=task.until, within_stages=True)
+        with Simulation(scene, observers=[observer]) as simulation:
+            result = simulation.run(until=task.until, within_stages=True)
     except SceneError as error:
         return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
     except RunError as error:
         return RunOutcome(stopped=str(error))
-    simulation.free()
     numbers = result.numbers
     flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.flow_meters.items()}
     values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
@@ -157,11 +157,6 @@ def restitution_error(task: SceneTask) -> float:
     fastest = max(row.velocity for row in rows)
     slowest = min(QUICK_VELOCITIES) * (1.0 - 1e-9) * fastest
     return max(abs(row.difference) for row in rows if row.velocity >= slowest)
-
-
-def longest_run(scene: Scene) -> float:
-    """Longest run time of a scene [s]: the sum over its stages."""
-    return sum(stage.duration or stage.max_duration or 0.0 for stage in scene.schedule)
 
 
 def seeds_of(scene: Scene, count: int) -> list[Any]:

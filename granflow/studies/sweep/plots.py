@@ -19,6 +19,9 @@ MOST_LEVELS = 12
 
 BINS = 8
 
+EDGE_ROUNDING = 1e-4
+"""A value on the common edge of two intervals is in the upper one, also if rounding puts it below by this share."""
+
 MOST_LINES = 500
 """Largest number of runs in the parallel coordinates."""
 
@@ -111,8 +114,8 @@ def _groups(values: Sequence[Any], logarithmic: bool) -> list[tuple[Any, list[in
     if len(distinct) <= MOST_LEVELS or not all(isinstance(v, float) for v in distinct):
         return [(value, [k for k, each in enumerate(values) if each == value]) for value in distinct]
     scaled = np.log(values) if logarithmic else np.array(values)
-    edges = np.linspace(scaled.min(), scaled.max(), BINS + 1)
-    number = np.clip(np.searchsorted(edges, scaled, side="right") - 1, 0, BINS - 1)
+    fraction = (scaled - scaled.min()) / (scaled.max() - scaled.min())
+    number = np.minimum(fraction * BINS + EDGE_ROUNDING, BINS - 1).astype(int)
     members = [np.flatnonzero(number == k).tolist() for k in range(BINS)]
     means = [float(scaled[each].mean()) for each in members if each]
     positions = np.exp(means) if logarithmic else means
