@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         SegregationMetric,
         SlidingMetric,
     )
+    from granflow.scene.schema.clumps import Clump, ClumpSphere
     from granflow.scene.schema.contact import Contact
     from granflow.scene.schema.damping import Damping
     from granflow.scene.schema.domain import Domain, LeesEdwards
@@ -97,6 +98,8 @@ __all__ = [
     "CenterOfMassMetric",
     "Checkpoints",
     "ClassSizes",
+    "Clump",
+    "ClumpSphere",
     "Cone",
     "Contact",
     "ContentMetric",

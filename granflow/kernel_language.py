@@ -41,6 +41,6 @@ def __getattr__(name: str) -> Any:
             f"{KERNELS} is not installed: run pip install 'granflow[quadrants]', or unset {VARIABLE}."
         ) from None
     if KERNELS == "taichi":
-        shorten_front_end(module.lang.kernel_impl)
+        shorten_front_end(module.lang.kernel_impl, module.lang.struct)
     globals()["ti"] = module
     return module

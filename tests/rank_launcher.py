@@ -42,3 +42,9 @@ def alone(*arguments, seconds=250):
     """The completed process of `python arguments`."""
     command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment())
+
+
+def is_open_mpi():
+    """Whether mpirun is that of Open MPI, which kills the ranks about a second after it has received a signal."""
+    done = subprocess.run([MPIRUN, "--version"], capture_output=True, text=True, timeout=60, env=environment())
+    return "Open MPI" in done.stdout

@@ -7,6 +7,7 @@ root; failing_root: in the root; failing_start: at the start of all ranks but th
 """
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,9 @@ from granflow.plan.build import plan_for  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 
 FAILING_STEP = 60
+
+FAULT = "a fault of this test at {} s"
+"""Message of a fault, with its time since 1970."""
 
 
 def main(name, path, kind):
@@ -60,13 +64,13 @@ def faulty_engine(kind):
     class FaultyEngine(RankEngine):
         def __init__(self, plan, backend, communicator):
             if kind == "failing_start" and not communicator.is_root:
-                raise ArithmeticError("a fault of this test")
+                raise ArithmeticError(FAULT.format(time.time()))
             super().__init__(plan, backend, communicator)
 
         def advance(self, steps):
             with self.communicator.commanding("advance", (steps,)):
                 if self.step_count >= FAILING_STEP and self.communicator.is_root == (kind == "failing_root"):
-                    raise ArithmeticError("a fault of this test")
+                    raise ArithmeticError(FAULT.format(time.time()))
                 return Engine.advance(self, steps)
 
     return FaultyEngine

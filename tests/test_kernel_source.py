@@ -1,16 +1,21 @@
 """Taichi gets the same source of device functions as from `inspect`."""
 
+import ast
 import inspect
 import re
 import textwrap
 from importlib import import_module
+from pathlib import Path
 from pkgutil import walk_packages
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 import granflow.contact
 import granflow.engine
-from granflow.kernel_source import TreePool, filled, inside_class, source_lines
+from granflow.kernel_language import KERNELS, ti
+from granflow.kernel_source import TreePool, end_of_function, filled, inside_class, set_member_class, source_lines
 
 
 def functions():
@@ -24,6 +29,21 @@ def functions():
 def test_source_lines_equal_those_of_inspect():
     compared = [function for function in functions() if source_lines(function) == inspect.getsourcelines(function)]
     assert len(compared) == len(list(functions())) > 200
+
+
+def test_indentation_shows_the_end_of_every_function_of_the_package():
+    found = 0
+    for path in Path(granflow.__file__).parent.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                first = min([node.lineno, *(each.lineno for each in node.decorator_list)]) - 1
+                lines = text.splitlines(keepends=True)
+                end = end_of_function(lines, first)
+                rest = [line for line in lines[node.end_lineno : end] if not line.strip().startswith("#")]
+                assert end >= node.end_lineno and not "".join(rest).strip(), f"{path}:{node.lineno}"
+                found += 1
+    assert found > 2000
 
 
 def test_function_outside_of_the_package_is_read_by_inspect():
@@ -88,3 +108,12 @@ def test_decorators_know_whether_they_are_in_a_class_body():
         """In a function."""
 
     assert found == [True, False]
+
+
+@pytest.mark.skipif(KERNELS != "taichi", reason="replaces a function of Taichi")
+def test_structs_with_equal_members_share_a_class():
+    first, second, other = (ti.Struct(**dict.fromkeys(names, 1.0)) for names in ("ab", "ab", "ac"))
+    assert type(first) is type(second) is not type(other)
+    second.b = 2.0
+    assert (first.a, first.b, second.b, other.c) == (1.0, 1.0, 2.0, 1.0)
+    assert ti.Struct._register_members is set_member_class

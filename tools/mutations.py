@@ -213,7 +213,7 @@ MUTATIONS = (
     ),
     Mutation(
         "rebuild after a whole skin",
-        "granflow/engine/neighbor/cell_sort.py",
+        "granflow/engine/neighbor/bounds.py",
         "reach = ti.min(0.5 * rebuild.skin",
         "reach = ti.min(1.0 * rebuild.skin",
         (f"{LIMITS}test_a_displacement_of_half_a_skin_requests_a_rebuild",),

@@ -20,6 +20,7 @@ from granflow.cli.arguments import (
     thread_count,
 )
 from granflow.cli.messages import say, warn, warned
+from granflow.cli.quick_start import quick_start
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
@@ -53,19 +54,20 @@ def scene_and_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
 
 def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
     """Run a scene, on the ranks of the communicator if there is one. Returns and raises as `run`."""
-    scene = load_runnable(options)
-    out = options.out or Path("out") / scene.path.stem
-    printed = prepare_output(out, scene, options.overwrite)
-    from granflow.cli.resume import run_to_end
-    from granflow.io.lock import locked
-    from granflow.simulation import Simulation
-    from granflow.studies.restitution import warnings as restitution_warnings
+    with quick_start():
+        scene = load_runnable(options)
+        out = options.out or Path("out") / scene.path.stem
+        printed = prepare_output(out, scene, options.overwrite)
+        from granflow.cli.resume import run_to_end
+        from granflow.io.lock import locked
+        from granflow.simulation import Simulation
+        from granflow.studies.restitution import warnings as restitution_warnings
 
-    simulation = Simulation(
-        scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
-        communicator=communicator, overwrite=options.overwrite,
-    )  # fmt: skip
-    simulation.warnings += restitution_warnings(scene, simulation.plan)
+        simulation = Simulation(
+            scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
+            communicator=communicator, overwrite=options.overwrite,
+        )  # fmt: skip
+        simulation.warnings += restitution_warnings(scene, simulation.plan)
     with locked(out):
         # another process may have used the directory in the meantime
         printed += prepare_output(out, scene, options.overwrite)
@@ -96,6 +98,7 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
         return notes
 
 
+@quick_start()
 def check(options: argparse.Namespace) -> int:
     """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
 

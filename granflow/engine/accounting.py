@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from granflow.engine.clump_arrays import ROTATION_SHARE, of_clumps
 from granflow.engine.exact_sums import exact_sum
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.ranks import ALONE, Gathering
@@ -115,17 +116,23 @@ def mechanical_energy(
 
         m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        the same for any order of the particles
 
+    Each sphere of a clump contributes its share of the energies of the clump, see `of_clumps`.
+
     arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
-              angular_velocity (n, 3) [rad/s]
+              angular_velocity (n, 3) [rad/s]; with clumps CLUMP_MOTION
     gravity:  (3,) [m/s2]
     ranks:    adds up the energies of all ranks, each of which has arrays of its own particles
     """
     mass = arrays["mass"].astype(float) * mobility_mask(arrays)
+    arrays = of_clumps(arrays)
     kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]), ranks)
     rotational = 0.0
     if "angular_velocity" in arrays:
         inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
-        rotational = 0.5 * exact_sum(inertia * _squares(arrays["angular_velocity"]), ranks)
+        doubled = inertia * _squares(arrays["angular_velocity"])
+        if ROTATION_SHARE in arrays:
+            doubled = np.where(arrays["clump"] >= 0, arrays[ROTATION_SHARE], doubled)
+        rotational = 0.5 * exact_sum(doubled, ranks)
     x, y, z = arrays["position"].astype(float).T
     return kinetic, rotational, -exact_sum(mass * (x * gravity[0] + y * gravity[1] + z * gravity[2]), ranks)
 

@@ -6,13 +6,16 @@ import numpy as np
 
 from granflow.engine.accounting import Accounting
 from granflow.engine.changes import REMOVED_BELOW
+from granflow.engine.clump_arrays import CLUMP_MOTION, of_clumps
 from granflow.engine.host_copy import copy_to_host
 from granflow.engine.limits import ABORT_LEFT_DOMAIN
 from granflow.engine.state import State
 from granflow.plan.outlets import outlet_of
 from granflow.plan.plan import Plan
 
-DELETED_FIELDS = ("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed")
+DELETED_FIELDS = tuple(
+    dict.fromkeys(("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION))
+)
 """Fields of deleted particles that their accounting needs."""
 
 
@@ -32,7 +35,7 @@ def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, n
 
     With `on_exit: error`, sets the abort code if one of them left the domain.
     """
-    outlet_index = _outlets_of(state.plan, arrays["position"].astype(float))
+    outlet_index = _outlets_of(state.plan, of_clumps(arrays)["position"].astype(float))
     left_domain = outlet_index < 0
     if state.plan.domain.on_exit == "error" and left_domain.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN

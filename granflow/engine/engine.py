@@ -16,7 +16,7 @@ from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.gpu_stepper import GpuStepper
 from granflow.engine.host_copy import append_particles
 from granflow.engine.host_particles import HostParticles
-from granflow.engine.insertion import new_particle_arrays
+from granflow.engine.insertion import new_particle_arrays, sphere_rows
 from granflow.engine.integrate import build_kick
 from granflow.engine.limits import NO_PARTICLE
 from granflow.engine.readings import MOTION, Readings
@@ -26,6 +26,7 @@ from granflow.engine.stability_monitor import StabilityMonitor
 from granflow.engine.state import FreedState, State
 from granflow.engine.state_cache import return_state, take_state
 from granflow.engine.stepper import Stepper
+from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
@@ -74,12 +75,15 @@ class Engine(Readings):
             return
         arrays = new_particle_arrays(self.plan, new, self.accounting.inserted_count)
         energy = sum(mechanical_energy(arrays, self._gravity))
-        self.accounting.insert(new.material, new.group, self.time, energy)
+        rows = sphere_rows(self.plan, new)
+        self.accounting.insert(new.material[rows], new.group[rows], self.time, energy)
         if self.energy_before_change is not None:
             self.energy_before_change += energy
         if self._started:
-            velocity_gain = 0.5 * self.time_step * self._gravity
-            arrays["velocity"] = new.velocity - mobility_mask(arrays)[:, None] * velocity_gain
+            velocity_gain = mobility_mask(arrays)[:, None] * (0.5 * self.time_step * self._gravity)
+            for name in ("velocity", "clump_velocity"):
+                if name in arrays:
+                    arrays[name] = arrays[name] - velocity_gain
         self._append(arrays | {"velocity_synchronized": arrays["velocity"]})
 
     def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -91,7 +95,9 @@ class Engine(Readings):
 
         new:        particles at the present time
         time_step:  of all further steps [s]; None: the present one
+        Raises:     GranflowError for a scene with clumps
         """
+        self._refuse_with_clumps("Particles from Python")
         state = self.state
         state.count = 0
         state.control.abort[0], state.control.abort_particle[0] = 0, NO_PARTICLE
@@ -141,6 +147,11 @@ class Engine(Readings):
             self._kick(-0.5 * self.time_step)
         self._update_time_step()
 
+    def _refuse_with_clumps(self, what: str) -> None:
+        """Raise GranflowError for a scene with clumps; `what`: subject of the message, in the plural."""
+        if self.plan.features.clumps:
+            raise GranflowError(f"{what} are not possible in a scene with clumps.")
+
     def _kick(self, time: float) -> None:
         """Change the velocities by the present forces during `time` [s]; backwards if negative."""
         self.state.built(build_kick)(self.state.count, time)
@@ -148,8 +159,10 @@ class Engine(Readings):
     def begin_change(self) -> None:
         """Prepare a change of the particles: shift all velocities to the time of the positions.
 
-        The next `refresh` shifts them back, and counts the change of all energies as inserted.
+        The next `refresh` shifts them back, and counts the change of all energies as inserted. Raises GranflowError for
+        a scene with clumps.
         """
+        self._refuse_with_clumps("Changes of particles and forces from Python")
         if self.energy_before_change is not None:
             return
         self._counts_contacts = self.timing.rebuild_count > 0

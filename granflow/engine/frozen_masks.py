@@ -32,13 +32,17 @@ def build_mobility(state: State) -> Any:
 def build_contact_mass(state: State) -> Any:
     """Device function (i): mass [kg] of a particle in its contacts, FROZEN_MASS_FACTOR times as large if it is fixed.
 
-    Reads:  mass, fixed
+    A sphere of a clump has the mass of the clump, as in LIGGGHTS and MercuryDPM.
+
+    Reads:  mass, fixed, clump_mass
     """
     particles, real = state.particles, state.backend.real
 
     @ti.func
     def contact_mass(i):
         mass = particles.mass[i]
+        if ti.static(state.plan.features.clumps):
+            mass = particles.clump_mass[i]
         if ti.static(state.plan.features.fixed_particles):
             mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
         return mass
@@ -47,9 +51,9 @@ def build_contact_mass(state: State) -> Any:
 
 
 def build_can_touch(state: State) -> Any:
-    """Device function (i, j): false for two fixed particles, and for a fixed particle and a wall (j < 0).
+    """Device function (i, j): false for two fixed particles, a fixed particle and a wall (j < 0), and in a clump.
 
-    Reads:  fixed
+    Reads:  fixed, clump
     """
     particles = state.particles
 
@@ -61,6 +65,9 @@ def build_can_touch(state: State) -> Any:
                 can = j >= 0
                 if j >= 0:
                     can = particles.fixed[j] == 0
+        if ti.static(state.plan.features.clumps):
+            if j >= 0:
+                can = can and (particles.clump[i] < 0 or particles.clump[i] != particles.clump[j])
         return can
 
     return can_touch

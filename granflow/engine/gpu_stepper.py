@@ -7,6 +7,7 @@ from granflow.engine.device_flags import DeviceFlags, read_flags
 from granflow.engine.device_memory import free_device_memory
 from granflow.engine.limits import NOT_HALTED
 from granflow.engine.stepper import SAMPLE_EVERY, Stepper
+from granflow.plan.capacities import Capacities
 from granflow.plan.memory_check import refuse_growth
 from granflow.plan.memory_estimate import estimate_memory
 
@@ -56,13 +57,19 @@ class GpuStepper(Stepper):
         super().rebuild_neighbor_lists(step, pose)
         self._read = None
 
-    def grow_neighbor_lists(self, needed: int, longest: int = 0) -> None:
-        """As `Stepper.grow_neighbor_lists`. Raises SceneError if the longer lists do not fit into the memory."""
+    def _grow(self, capacities: Capacities) -> None:
+        """Reallocate the fields; on the device if the old and the new ones fit, else over the host.
+
+        Raises SceneError if the new ones do not fit.
+        """
         plan, state = self.state.plan, self.state
-        free, present = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, state.capacities)
-        available = None if free is None else free + present.total
-        refuse_growth(plan, state.capacities.grown(needed, 0), available, state.backend.largest_buffer)
-        super().grow_neighbor_lists(needed, longest)
+        free, grown = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, capacities).total
+        present = estimate_memory(plan, plan.precision, state.capacities).total
+        refuse_growth(plan, capacities, None if free is None else free + present, state.backend.largest_buffer)
+        if free is None or grown < free:
+            state.grow_on_device(capacities, self._compile)
+        else:
+            super()._grow(capacities)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`."""

@@ -40,6 +40,8 @@ class HostParticles:
     def at_rebuild(self, periodic_box: PeriodicBox) -> "HostParticles":
         """The particles at their positions at the last rebuild, in the box; `at_present` is the inverse."""
         arrays, position = self.arrays, periodic_box.wrap(self.arrays["position_at_rebuild"])
+        if "clump_position" in arrays:
+            arrays = arrays | {"clump_position": arrays["clump_position_at_rebuild"]}
         return replace(self, arrays=arrays | {"position": position, PRESENT: arrays["position"]})
 
 

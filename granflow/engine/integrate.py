@@ -11,6 +11,7 @@ Dashpots need the velocity at the time of the positions; it is extrapolated with
 
 from typing import Any
 
+from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
 from granflow.engine.exact_sums import build_weight_rest
 from granflow.engine.force.damping import build_add_damping_loss
 from granflow.engine.force.external_forces import build_add_external_work
@@ -34,17 +35,17 @@ def build_integrate(state: State) -> Any:
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
-             external_work, losses, impulses; in a periodic box as `build_wrap`
+             external_work, losses, impulses; as `build_wrap`, with clumps as `build_move_clump`
     """
     particles, features = state.particles, state.plan.features
-    mobility, chunk_size = build_mobility(state), state.parameter("chunk_size")
-    step_limit, periodic = state.parameter("travel_limit_squared"), features.periodic != "none"
-    wrap = build_wrap(state) if periodic else None
-    add_work, counts_damping = build_add_external_work(state), features.damping != "none" and features.energy_budget
+    periodic, counts_damping = features.periodic != "none", features.damping != "none" and features.energy_budget
+    step_limit, wrap = state.parameter("travel_limit_squared"), build_wrap(state) if periodic else None
+    add_work, carry_impulses = build_add_external_work(state), build_carry_impulses(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    carry_impulses, weight_rest, real = build_carry_impulses(state), build_weight_rest(state), state.backend.real
-    square_of_sums, request = _build_square_of_sums(state), _build_request(state)
-    gravity, shift, per_unit = (state.parameter(name) for name in ("gravity", "shift", "per_unit"))
+    weight_rest, square_of_sums = build_weight_rest(state), _build_square_of_sums(state)
+    mobility, request, real = build_mobility(state), _build_request(state), state.backend.real
+    integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
+    gravity, shift, per_unit, chunk_size = map(state.parameter, ("gravity", "shift", "per_unit", "chunk_size"))
 
     @ti.func
     def integrate(chunk, count, pose, dt):
@@ -52,6 +53,9 @@ def build_integrate(state: State) -> Any:
         size, step_squared_limit = chunk_size(), step_limit()
         acceleration, shift_of_force, units = ti.cast(gravity(), real), shift()[FORCE], per_unit()
         for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            if ti.static(features.clumps):
+                if particles.clump[i] >= 0:
+                    continue
             mass, force, torque = particles.mass[i], particles.force[i], 0.0 * particles.force[i]
             kick = mobility(i) * dt / mass * (force + weight_rest(mass * acceleration, shift_of_force))
             velocity = particles.velocity[i] + kick
@@ -65,8 +69,7 @@ def build_integrate(state: State) -> Any:
             position = particles.position[i] + step_displacement
             particles.position[i] = position
             if ti.static(features.rotation):
-                # A sphere needs no orientation and no gyroscopic term.
-                torque = particles.torque[i]
+                torque = particles.torque[i]  # a sphere needs no orientation and no gyroscopic term
                 inertia = 0.4 * mass * particles.radius[i] * particles.radius[i]
                 particles.angular_velocity[i] = particles.angular_velocity[i] + mobility(i) * dt / inertia * torque
             if ti.static(counts_damping):
@@ -80,6 +83,8 @@ def build_integrate(state: State) -> Any:
                 request(i, displacement, reach, step, step_squared_limit, sums)
             if ti.static(periodic):
                 wrap(chunk, i, pose, dt)
+        if ti.static(features.clumps):
+            integrate_clumps(chunk, count, pose, dt)
 
     return integrate
 
@@ -132,17 +137,22 @@ def build_kick(state: State) -> Any:
 
         v += time F / m,   w += time M / I,   I = (2/5) m R^2
 
-    Fixed particles keep their velocity.
+    Fixed particles keep their velocity; of clumps the state changes, not yet the velocities of the spheres.
 
-    Reads:   force, torque, mass, radius, fixed
-    Writes:  velocity, angular_velocity
+    Reads:   force, torque, mass, radius, fixed, clump
+    Writes:  velocity, angular_velocity; clumps as `build_kick_clump`
     """
     particles, rotation, real = state.particles, state.plan.features.rotation, state.backend.real
-    mobility = build_mobility(state)
+    mobility, clumps = build_mobility(state), state.plan.features.clumps
+    kick_clump = build_kick_clump(state) if clumps else None
 
     @ti.kernel
     def kick(count: ti.i32, time: real):
         for i in range(count):
+            if ti.static(clumps):
+                if particles.clump[i] >= 0:
+                    kick_clump(i, time)
+                    continue
             particles.velocity[i] = particles.velocity[i] + mobility(i) * time / particles.mass[i] * particles.force[i]
             if ti.static(rotation):
                 inertia = 0.4 * particles.mass[i] * particles.radius[i] * particles.radius[i]

@@ -72,12 +72,12 @@ def may_own(mesh: ti.template(), t, point, slack):
 
     Reads:  edges, vertices and their adjacency
     """
-    possible = _may_be_over_face(mesh, t, point, slack)
-    for k in range(3):
-        if possible == 0:
-            possible = ti.max(
-                _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
-            )
+    possible, k = _may_be_over_face(mesh, t, point, slack), 0
+    while possible == 0 and k < 3:
+        possible = ti.max(
+            _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
+        )
+        k += 1
     return possible
 
 
@@ -109,9 +109,11 @@ def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
     if mesh.owner[vertex_index] == t:
         above = 1
         from_vertex = point - mesh.vertex[3 * t + k]
-        for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
             if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                 above = 0
+            vertex_edge += 1
     return above
 
 
@@ -209,7 +211,9 @@ def _above_vertex(mesh: ti.template(), t, k, point):
     ):
         above = 0
     if above == 1:
-        for vertex_edge in range(mesh.vertex_edge_start[vertex_index], mesh.vertex_edge_start[vertex_index + 1]):
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
             if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
                 above = 0
+            vertex_edge += 1
     return above

@@ -148,7 +148,7 @@ def build_wrap(state: State) -> Any:
     plan, particles, axes = state.plan, state.particles, state.plan.periodic_box.axes
     wrap_position, sheared = build_wrap_position(state), plan.periodic_box.image_motion is not None
     cross_boundary = _build_cross_boundary(state) if sheared else None
-    add_energy_gain = _build_add_energy_gain(state)
+    add_energy_gain, clumps = build_add_energy_gain(state), plan.features.clumps
     low, width = state.parameter("domain_low"), state.parameter("box_width")
 
     @ti.func
@@ -169,7 +169,10 @@ def build_wrap(state: State) -> Any:
             wrapped = wrap_position(wrapped)  # after the shear, which shifts along the flow axis
             particles.position[i] = wrapped
             particles.position_at_rebuild[i] = particles.position_at_rebuild[i] + (wrapped - before)
-            if ti.static(plan.features.energy_budget):
+            if ti.static(plan.features.energy_budget and clumps):
+                if particles.clump[i] < 0:  # the energy of a clump is that of its center of mass
+                    add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
+            elif ti.static(plan.features.energy_budget):
                 add_energy_gain(chunk, i, wrapped - before, velocity_shift, dt)
             if ti.static(sheared):
                 particles.velocity[i] = particles.velocity[i] - velocity_shift
@@ -179,7 +182,7 @@ def build_wrap(state: State) -> Any:
     return wrap
 
 
-def _build_add_energy_gain(state: State) -> Any:
+def build_add_energy_gain(state: State) -> Any:
     """Device function (chunk, i, shift [m], decrease of the velocity [m/s], time_step): add the energy gain.
 
     The gain of potential energy, and of kinetic energy at the time of the positions.

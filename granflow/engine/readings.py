@@ -6,6 +6,7 @@ from math import ceil
 import numpy as np
 
 from granflow.engine.accounting import Accounting, mechanical_energy
+from granflow.engine.clump_arrays import CLUMP_MOTION, synchronized_clumps
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.force.contact_output import ContactOutput
 from granflow.engine.force.contact_statistics import ContactStatistics
@@ -26,7 +27,7 @@ from granflow.snapshot import Snapshot
 TIME_TOLERANCE = 1e-6
 """Tolerance for reaching a requested time, as a fraction of the time step."""
 
-MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque")
+MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque", *CLUMP_MOTION)
 """Fields that determine the mechanical energy at the time of the positions."""
 
 CONTACT_COUNTS = ("coordination_number", "wall_contact_count")
@@ -159,7 +160,7 @@ class Readings:
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
         """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""
-        if not (needs_arrays or self.state.backend.on_cpu):
+        if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
             return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
         own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
         sums = host_sums(own, self._gravity, self.state.ranks)
@@ -202,13 +203,18 @@ class Readings:
 
     def _own_synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """As `synchronized`, of the particles of this process."""
-        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, "fixed"))))
+        clump_motion = CLUMP_MOTION if self.plan.features.clumps else ()
+        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, "fixed", *clump_motion))))
         if not self._started:
             return arrays
+        clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)
         half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
         mass = arrays["mass"].astype(float)[:, None]
         arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
         if "angular_velocity" in arrays:
             inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
             arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
+        if clumps:
+            in_clump = arrays["clump"][:, None] >= 0
+            arrays |= {name: np.where(in_clump, values, arrays[name]) for name, values in clumps.items()}
         return arrays

@@ -10,7 +10,7 @@ from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
 from granflow.engine.control import Control
 from granflow.engine.field_block import FieldBlock, Fields, write_padded
-from granflow.engine.host_fields import components
+from granflow.engine.field_kernels import build_clear, build_copy
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.pair_batch import PairBatch
 from granflow.engine.parameters import Parameters
@@ -127,7 +127,7 @@ class State:
         """
         self.plan, self.capacities = plan, replace(self.capacities, segments=plan.capacities.segments)
         if not self._block.clear():
-            self.built(_build_clear)()
+            self.built(build_clear)()
         self._begin()
 
     def _begin(self) -> None:
@@ -203,21 +203,36 @@ class State:
         """
         saved = [field.to_numpy() for field in self._block.fields]
         self.free()
-        self.capacities = capacities
-        self._allocate()
-        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
-        build()
+        self._allocate_grown(capacities, build)
         for field, values in zip(self._block.fields, saved, strict=True):
             write_padded(field, values)
         self.parameters.write(self.plan, capacities)
 
+    def grow_on_device(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        """As `grow_neighbor_list`, without a copy on the host: one kernel copies all fields, old and new in memory."""
+        self._free_built()
+        old = self._block
+        self._allocate_grown(capacities, build)
+        build_copy(old.fields, self._block.fields)()
+        old.free()
+        self.parameters.write(self.plan, capacities)
+
+    def _allocate_grown(self, capacities: Capacities, build: Callable[[], None]) -> None:
+        self.capacities = capacities
+        self._allocate()
+        self.parameters.write(self.plan, capacities)  # the kernels divide by the chunk size
+        build()
+
     def free(self) -> None:
         """Free all device memory."""
+        self._free_built()
+        self._block.free()
+
+    def _free_built(self) -> None:
         for each in self._built.values():
             if isinstance(getattr(each, "block", None), FieldBlock):
                 each.block.free()
         self._built.clear()
-        self._block.free()
 
 
 class FreedState:
@@ -229,27 +244,3 @@ class FreedState:
 
     def __getattr__(self, name: str) -> Any:
         raise GranflowError("This simulation has been freed. Read its results before, or create another one.")
-
-
-UNROLLED = 16
-"""Fields that one loop clears; the kernel language warns of more than 32 statements without a loop."""
-
-
-def _build_clear(state: State) -> Callable[[], None]:
-    """Kernel (): fill all fields with zeros.
-
-    Writes:  all fields of the state
-    """
-    by_shape: dict[tuple[int, ...], list[Any]] = {}
-    for field in state.fields:
-        by_shape.setdefault(field.shape, []).extend(components(field))
-    groups = [fields[k : k + UNROLLED] for fields in by_shape.values() for k in range(0, len(fields), UNROLLED)]
-
-    @ti.kernel
-    def clear():
-        for group in ti.static(groups):
-            for index in ti.grouped(group[0]):
-                for component in ti.static(group):
-                    component[index] = 0
-
-    return clear

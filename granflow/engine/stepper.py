@@ -23,6 +23,7 @@ from granflow.engine.threads.workers import Workers
 from granflow.engine.timing import Timing
 from granflow.engine.wall_poses import WallPoses
 from granflow.kernel_language import ti
+from granflow.plan.capacities import Capacities
 
 LAUNCH_SECONDS = 0.05
 """Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
@@ -120,7 +121,10 @@ class Stepper:
         longest:  smallest length of a list for which a batch suffices
         """
         self.timing.growth_count += 1
-        self.state.grow_neighbor_list(self.state.capacities.grown(needed, longest + BATCH + LANES), self._compile)
+        self._grow(self.state.capacities.grown(needed, longest + BATCH + LANES))
+
+    def _grow(self, capacities: Capacities) -> None:
+        self.state.grow_neighbor_list(capacities, self._compile)
 
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """Forces at the present positions.

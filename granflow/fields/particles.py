@@ -45,6 +45,57 @@ def _rotation(features: Any) -> bool:
     return bool(features.rotation)
 
 
+def _clumps(features: Any) -> bool:
+    return bool(features.clumps)
+
+
+_CLUMP_FIELDS = (
+    FieldSpec(
+        "clump", "", "1", "id of the first sphere of the clump, -1 for a single sphere; only in scenes with "
+        "clumps", file_type="int64", dtype="i32", condition=_clumps, default=-1,
+    ),
+    FieldSpec(
+        "clump_size", "", "1", "number of spheres of the clump", file_type="int32", dtype="i32", condition=_clumps,
+        displayed=False, default=1,
+    ),
+    FieldSpec(
+        "clump_mass", "M", "kg", "mass of the clump; of a single sphere its own", dtype="real", condition=_clumps,
+        block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_inertia", "I", "kg m2", "principal moments of inertia of the clump", "vector", dtype="real",
+        condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_offset", "", "m", "center of the sphere relative to the center of mass, along the principal axes",
+        "vector", "float64", dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_position", "", "m", "center of mass of the clump", "vector", "float64", dtype="position",
+        condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_velocity", "", "m/s", "velocity of the center of mass; on the device half a step behind", "vector",
+        dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_angular_momentum", "L", "kg m2/s", "angular momentum about the center of mass; on the device half a "
+        "step behind", "vector", dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "orientation", "q", "1", "quaternion (w, x, y, z) of the rotation from the principal axes of the clump to the "
+        "axes of the scene", "quaternion", dtype="position", condition=_clumps, block="clump", default=0.0,
+    ),
+    FieldSpec(
+        "clump_position_at_rebuild", "", "m", "center of mass at the last neighbor-list rebuild", "vector", "float64",
+        in_snapshot=False, dtype="position", condition=_clumps, sorted=False, displayed=False,
+    ),
+    FieldSpec(
+        "index_of_id", "", "1", "index of the particle with an id, since the last neighbor-list rebuild",
+        in_snapshot=False, dtype="i32", condition=_clumps, sorted=False, saved=False, displayed=False,
+    ),
+)  # fmt: skip
+
 _PARTICLE_FIELDS = {
     field.name: field
     for field in (
@@ -113,6 +164,7 @@ _PARTICLE_FIELDS = {
             "wall_contact_count", "", "1", "number of contacts with walls, evaluated for snapshots",
             file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
         ),
+        *_CLUMP_FIELDS,
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["scalar", "vector", "tensor"]
-"""Number of components: 1, 3 or 9."""
+Kind = Literal["scalar", "vector", "quaternion", "tensor"]
+"""Number of components: 1, 3, 4 or 9."""
 FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
 """Data types of arrays in VTU files."""
 
@@ -21,7 +21,7 @@ class Quantity:
     symbol:       as in formulas; empty without a common symbol
     unit:         SI, "1" for a dimensionless number
     meaning:      description in a few words
-    kind:         array shape (n,), (n, 3) or (n, 9) (xx, xy, xz, yx, ...)
+    kind:         array shape (n,), (n, 3), (n, 4) (w, x, y, z) or (n, 9) (xx, xy, xz, yx, ...)
     file_type:    data type in VTU files, float32 where 7 digits are sufficient
     in_snapshot:  False for internal fields, and for quantities that are derived when a file is written
     """
@@ -46,7 +46,7 @@ class Quantity:
     @property
     def width(self) -> int:
         """Number of components."""
-        return {"scalar": 1, "vector": 3, "tensor": 9}[self.kind]
+        return {"scalar": 1, "vector": 3, "quaternion": 4, "tensor": 9}[self.kind]
 
     def shape(self, count: int) -> tuple[int, ...]:
         """Return the shape of the array of this quantity for `count` particles, contacts or cells."""

@@ -7,6 +7,8 @@ from contextlib import suppress
 from math import ceil
 from pathlib import Path
 
+from granflow.errors import GranflowError
+
 ROOT = Path("/")
 """Root of the file system; tests replace it."""
 
@@ -57,9 +59,12 @@ def worker_count(requested: int | None, affinity: int | None = None, quota: int 
     requested:        number from the command line; None: all available cores
     affinity, quota:  cores, in place of those of the operating system
     Returns:          at most `affinity`; without a request also at most the quota
+    Raises:           GranflowError for less than one thread, with which Taichi ends the process
 
     Taichi starts at most one thread per core of the machine, and surplus threads only delay each other.
     """
+    if requested is not None and requested < 1:
+        raise GranflowError(f"threads is {requested}; give at least 1, or None for all available cores.")
     affinity = affinity or allowed_cores()
     if requested is None:
         return min(affinity, quota or quota_cores() or affinity), ""

@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from granflow.io.atomic_files import replacing
+from granflow.io.atomic_files import write_text
 from granflow.io.regular_files import FormatError, read_regular
 from granflow.io.vtu_mesh import VtuMesh
 from granflow.io.vtu_reader import MAX_PIECES, read_vtu, xml_of
@@ -66,8 +66,7 @@ def write_pvtu(path: Path, pieces: Sequence[Piece]) -> None:
         *(f"<Piece Source={quoteattr(piece.name)}/>" for piece in filled),
         *("</PUnstructuredGrid>", "</VTKFile>", ""),
     ]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(text), encoding="utf-8")
+    write_text(path, "\n".join(text))
 
 
 def _attributes(name: str, kind: str, components: int) -> str:

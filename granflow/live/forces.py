@@ -165,6 +165,8 @@ def plan_with_forces(plan: Plan, forces: Sequence[ParticleForce], backend: Backe
     """The plan with forces from the start. Raises GranflowError, or FunctionError for a function that is not valid."""
     if not forces:
         return plan
+    if plan.features.clumps:
+        raise GranflowError("Forces from Python are not possible in a scene with clumps: leave forces out.")
     refuse_invalid(forces)
     for force in forces:
         check_compiled(force, backend, 0.0)

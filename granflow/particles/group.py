@@ -52,6 +52,15 @@ class SceneGroup:
         """The generator of random velocities, which do not change sizes and positions."""
         return np.random.default_rng(np.random.SeedSequence((*self.seeds, 1)))
 
+    def orientation_random(self, batch: int) -> np.random.Generator:
+        """The generator of random orientations of a batch of clumps."""
+        return np.random.default_rng(np.random.SeedSequence((*self.seeds, 2, batch)))
+
+    @property
+    def particle_mass(self) -> float | None:
+        """Mass [kg] of each clump; None for spheres."""
+        return None if self.spec.clump is None else self.density * self.spec.clump.shape.volume
+
 
 def groups_of(scene: SceneInput) -> dict[str, SceneGroup]:
     """The groups of a scene by name."""

@@ -50,7 +50,8 @@ class Inserter:
     batch. Walls are not considered. The positions depend on the seed of the scene, the number of the batch, and the
     existing particles.
 
-    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion, read-only.
+    `radius`, `mass`, `due_at` (count,): radii [m], masses [kg] and due times [s] in the order of insertion, read-only;
+    of clumps the radius of the sphere around each.
     `queued` (q,) int64: particle numbers in the order of priority. `batch`: particles per batch. `interval` [s]: mean
     time between particles. `next_time` [s]: time of the next batch; infinite after the last.
 
@@ -66,6 +67,8 @@ class Inserter:
         self.start = insertion.start
         self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
         self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * group.density
+        if group.particle_mass is not None:
+            self.mass = np.full(spec.count, group.particle_mass)
         self.due_at = self.start + _delays(insertion, self.mass)
         self.interval = (
             1.0 / insertion.rate if insertion.rate else float(self.mass.mean()) / (insertion.mass_flow or math.inf)
@@ -123,10 +126,11 @@ class Inserter:
         positions = self.find_positions(candidates, obstacles.near(self.region), random)
         inserted = np.array(list(positions), dtype=np.int64)
         self.queued = queue[~np.isin(queue, inserted)]
+        centers = np.array([positions[k] for k in inserted]).reshape(-1, 3)
+        particles = particles_of(self.group, centers, self.radius[inserted], self.batch_count)
         self.batch_count += 1
         self.next_time = self.time_after(time)
-        centers = np.array([positions[k] for k in inserted]).reshape(-1, 3)
-        return particles_of(self.group, centers, self.radius[inserted])
+        return particles
 
     def time_after(self, time: float) -> float:
         """Time of the next batch [s], when its last particle is due; infinite if no particles remain.

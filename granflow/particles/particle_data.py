@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.quaternion import about, random_orientations
 from granflow.particles.group import SceneGroup
 from granflow.particles.packing import RegionFullError
 from granflow.particles.thermal import thermal_velocities
+from granflow.scene.schema.clumps import Clump
 
 
 @dataclass(frozen=True)
@@ -16,6 +18,8 @@ class ParticleData:
 
     `position` (n, 3) [m], `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s], `radius` (n,) [m], all float64;
     `material` (n,) int32 index into list(scene.materials), `group` (n,) int32 index into list(scene.particles).
+    `orientation` (n, 4): unit quaternions (w, x, y, z) by which clumps are turned; None without clumps. The position of
+    a clump is its center of mass, its radius that of the sphere around it.
 
     >>> import numpy as np
     >>> vectors, numbers = np.zeros((1, 3)), np.zeros(1, dtype=np.int32)
@@ -29,6 +33,7 @@ class ParticleData:
     radius: np.ndarray
     material: np.ndarray
     group: np.ndarray
+    orientation: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.radius)
@@ -39,13 +44,26 @@ class ParticleData:
         if not parts:
             empty, empty_vectors, empty_numbers = np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.int32)
             return cls(empty_vectors, empty_vectors, empty_vectors, empty, empty_numbers, empty_numbers)
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+        names = [name for name in cls.__dataclass_fields__ if name != "orientation"]
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(**arrays, orientation=_joined_orientations(parts))
 
 
-def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray) -> ParticleData:
+def _joined_orientations(parts: Sequence[ParticleData]) -> np.ndarray | None:
+    """Orientations (n, 4) of all parts; spheres have that of the given positions. None without clumps."""
+    if all(part.orientation is None for part in parts):
+        return None
+    identity = np.array([1.0, 0.0, 0.0, 0.0])
+    return np.concatenate(
+        [np.tile(identity, (len(part), 1)) if part.orientation is None else part.orientation for part in parts]
+    )
+
+
+def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, batch: int = 0) -> ParticleData:
     """Particles of one group at centers (n, 3) [m] with radii (n,) [m], and the motion and material of the group.
 
-    A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles.
+    A single velocity [m/s] or angular velocity [rad/s] of the group applies to all particles. `batch`: number of the
+    batch of an insertion, for random orientations.
     """
     count, velocity = len(radius), np.asarray(group.spec.velocity, dtype=np.float64)
     if group.spec.thermal is not None:
@@ -57,7 +75,19 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray) ->
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),
         group=np.full(count, group.number, dtype=np.int32),
+        orientation=None if group.spec.clump is None else _orientations(group, group.spec.clump, count, batch),
     )
+
+
+def _orientations(group: SceneGroup, clump: Clump, count: int, batch: int) -> np.ndarray:
+    """Orientations (count, 4) of new clumps."""
+    if clump.orientation is None:
+        return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    if clump.orientation == "random":
+        return random_orientations(count, group.orientation_random(batch))
+    rotations = clump.orientation if isinstance(clump.orientation, tuple) else (clump.orientation,)
+    turns = about(np.array([each.axis for each in rotations]), np.array([each.angle for each in rotations]))
+    return np.broadcast_to(turns, (count, 4)).copy()
 
 
 def shortfall(group: SceneGroup, error: RegionFullError) -> str:

@@ -82,7 +82,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     radius_min, radius_max = min(radii), max(radii)
     solids = {name: solid(given) for name, given in scene.materials.items()}
     pairs = pair_materials(scene, models, solids)
-    laws = build_laws(scene, models, pairs, velocity, radius_max)
+    laws = build_laws(scene, groups, models, pairs, velocity)
     law = laws.normal
     features = features_of(scene, models, law.rate_dependent)
     pair_constants = pair_table(scene, laws, pairs, materials)
@@ -95,7 +95,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     speed = max(speeds.values(), default=0.0)
     skin = _skin(scene, radius_min, velocity, step.value)
     _refuse_geometry(scene, walls, radius_max, skin + laws.range)
-    particle_count = sum(group.count for group in groups)
+    particle_count = sum(group.sphere_count for group in groups)
     controlled_motions = controlled_motions_of(scene, walls, law, pair_cases, velocity, step.value)
     plan = Plan(
         **_as_given(scene),

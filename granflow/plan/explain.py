@@ -12,7 +12,7 @@ from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.roofline import CONTACTS, GPUS, bytes_per_particle_step, particle_steps_per_second
 from granflow.plan.run_time import duration_of
-from granflow.plan.scene_parts import PlannedStage
+from granflow.plan.scene_parts import PlannedGroup, PlannedStage
 from granflow.plan.time_step import rayleigh_time
 from granflow.plan.wall_control import describe
 
@@ -122,7 +122,7 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
 
 def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     """Rows of the numbers and sizes of the particles, the materials, and the skin."""
-    groups = ", ".join(f"{group.name} {count(group.count)}" for group in plan.groups)
+    groups = ", ".join(f"{group.name} {count(group.count)}{_spheres_of(group)}" for group in plan.groups)
     yield ExplainRow("particles", count(plan.particle_capacity), groups)
     same = plan.radius_min == plan.radius_max
     largest = "" if same else f" to {plan.radius_max:.4g}"
@@ -131,6 +131,11 @@ def _particle_rows(plan: Plan) -> Iterator[ExplainRow]:
     share = f"{plan.skin / plan.radius_min:.3g} of the smallest radius"
     given = f" ({plan.sources['numerics.skin']})" if "numerics.skin" in plan.sources else ""
     yield ExplainRow("skin", f"{plan.skin:.4g} m", share + given)
+
+
+def _spheres_of(group: PlannedGroup) -> str:
+    """Number of spheres of each clump of a group; empty for spheres."""
+    return "" if group.clump is None else f" clumps of {len(group.clump)} spheres"
 
 
 def _wall_control_rows(plan: Plan) -> Iterator[ExplainRow]:

@@ -47,6 +47,7 @@ class Features:
     """Number of size classes with separate cell grids, or "none"."""
     damping: str
     """Kinds of damping of all motion, "cundall", "drag" or both, or "none"."""
+    clumps: bool = False
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -64,15 +65,15 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
     """Derive all features from the scene.
 
     `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous term, so
-    that forces depend on synchronized velocities. Rotation is on only with friction, rolling or twisting friction:
-    otherwise no torque exists.
+    that forces depend on synchronized velocities. Rotation is on only with friction, rolling or twisting friction,
+    or with clumps: otherwise no torque exists.
     """
-    classes = size_classes(scene.particles)
+    classes, clumps = size_classes(scene.particles), any(group.clump for group in scene.particles.values())
     return Features(
         friction="tangential" in models,
         rolling=_name(models, "rolling"),
         twisting=_name(models, "twisting"),
-        rotation=any(slot in models for slot in ("tangential", "rolling", "twisting")),
+        rotation=clumps or any(slot in models for slot in ("tangential", "rolling", "twisting")),
         rate_dependent=law_is_damped,
         cohesion=_name(models, "cohesion"),
         walls=bool(scene.walls),
@@ -90,6 +91,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         outlets=bool(scene.outlets),
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
         damping=" and ".join(_damping_kinds(scene.damping)) or "none",
+        clumps=clumps,
     )
 
 
@@ -107,7 +109,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "rolling": _model_reason(scene, "rolling", features.rolling != "none"),
         "twisting": _model_reason(scene, "twisting", features.twisting != "none"),
         "rotation": (
-            "required by friction, rolling friction or twisting friction"
+            f"required by {'clumps' if features.clumps else 'friction, rolling friction or twisting friction'}"
             if features.rotation
             else "no torques: every pair has friction and rolling friction 0"
         ),
@@ -133,6 +135,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "outlets": _outlets_reason(scene),
         "size_classes": _sizes_reason(scene),
         "damping": _damping_reason(scene),
+        "clumps": _clumps_reason(scene, features),
         "external_forces": "forces are added from Python only",
     }
     return tuple(
@@ -228,6 +231,13 @@ def _fixed_reason(scene: Scene, features: Features) -> str:
         return "no group of particles is fixed"
     name = next(name for name, group in scene.particles.items() if group.fixed)
     return f"particles.{name} is fixed ({scene.where('particles', name, 'fixed')})"
+
+
+def _clumps_reason(scene: Scene, features: Features) -> str:
+    if not features.clumps:
+        return "no group of particles has clumps"
+    names = [name for name, group in scene.particles.items() if group.clump]
+    return f"{', '.join(names)} ({scene.where('particles', names[0], 'clump')})"
 
 
 def _time_step_reason(scene: Scene) -> str:

@@ -104,7 +104,7 @@ def fits(plan: Plan) -> bool:
 
 def _location(plan: Plan) -> str:
     """File and line of the count of the largest group."""
-    return max(plan.groups, key=lambda group: group.count).source
+    return max(plan.groups, key=lambda group: group.sphere_count).source
 
 
 def _remedies(plan: Plan, needed: int, available: int) -> str:

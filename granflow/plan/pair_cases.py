@@ -52,22 +52,29 @@ def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
 
 
 def build_laws(
-    scene: Scene, models: Mapping[str, ContactModel], pairs: PairMaterials, velocity: float, radius_max: float
+    scene: Scene,
+    groups: Sequence[PlannedGroup],
+    models: Mapping[str, ContactModel],
+    pairs: PairMaterials,
+    velocity: float,
 ) -> ContactLaws:
     """The contact laws of the scene from its active models.
 
-    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. `radius_max` [m].
+    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound theta^2 M
+    of the unloading tangent refers to the mass of a sphere, also where M is that of a clump: eccentric contacts move
+    less mass.
     """
     materials = tuple(pairs[first, second] for first, second in (key.split("-") for key in scene.pairs))
+    unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, groups)) ** 0.5
     laws: dict[str, Any] = {}
     for slot, model in models.items():
         request = ModelRequest(
             scene.contact.options(slot),
             materials,
             velocity,
-            scene.numerics.unloading_angle,
+            unloading_angle,
             scene.output.energy_budget,
-            radius_max,
+            max(0.5 * group.diameters[1] for group in groups),
         )
         laws[slot] = model.law.from_scene(request)
     found = ContactLaws(**laws)
@@ -196,18 +203,25 @@ def _pair_case(
     """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
     smallest, largest = (0.5 * diameter for diameter in group.diameters)
     material_solid = solids[group.material]
-    mass = sphere_mass(smallest, material_solid.density)
+    mass, ratio = sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
     if other is None:
-        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid)
+        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
     other_smallest, other_largest = (0.5 * diameter for diameter in other.diameters)
     largest = min(largest, other_largest)
     if other.fixed:
         radius_eff = smallest * other_largest / (smallest + other_largest)
-        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid)
+        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
     other_mass = sphere_mass(other_smallest, solids[other.material].density)
     radius_eff = smallest * other_smallest / (smallest + other_smallest)
     mass_eff = mass * other_mass / (mass + other_mass)
-    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid)
+    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
+
+
+def _mass_ratio(group: PlannedGroup | None) -> float:
+    """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
+    if group is None or group.clump is None:
+        return 1.0
+    return group.clump.volume / sphere_mass(0.5 * group.diameters[0], 1.0)
 
 
 def sphere_mass(radius: float, density: float) -> float:

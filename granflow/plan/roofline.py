@@ -17,8 +17,8 @@ from granflow.plan.device_arrays import DeviceArray, Precision, neighbor_arrays,
 from granflow.plan.plan import Plan
 
 INTEGRATION_READ = (
-    *("position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild", "reach"),
-)
+    "position", "velocity", "angular_velocity", "mass", "radius", "force", "torque", "position_at_rebuild", "reach"
+)  # fmt: skip
 INTEGRATION_WRITTEN = ("position", "velocity", "velocity_synchronized", "angular_velocity")
 FORCES_READ = ("position", "velocity", "velocity_synchronized", "angular_velocity", "radius", "mass", "material")
 FORCES_WRITTEN = ("force", "torque")

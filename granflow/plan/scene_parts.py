@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from granflow.geometry.clump_shape import ClumpShape
 from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 
@@ -10,7 +11,8 @@ from granflow.plan.size_classes import diameter_range
 class PlannedGroup:
     """One group of particles: name, number of particles, name of the material, whether its particles are fixed.
 
-    `diameters` [m]: smallest and largest. `source`: position of its count in the scene file.
+    `diameters` [m]: smallest and largest, of spheres. `source`: position of its count in the scene file. `clump`: shape
+    of its particles; None for spheres.
     """
 
     name: str
@@ -19,6 +21,12 @@ class PlannedGroup:
     fixed: bool
     diameters: tuple[float, float]
     source: str
+    clump: ClumpShape | None = None
+
+    @property
+    def sphere_count(self) -> int:
+        """Number of spheres."""
+        return self.count * (1 if self.clump is None else len(self.clump))
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,7 @@ def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
         PlannedGroup(
             *(name, group.count, group.material, group.fixed, diameter_range(group)),
             scene.locate("particles", name, "count"),
+            None if group.clump is None else group.clump.shape,
         )
         for name, group in scene.particles.items()
     )

@@ -17,9 +17,17 @@ Span = tuple[float, float]
 
 
 def diameter_range(group: Group) -> Span:
-    """Smallest and largest diameter [m] of a group, before sampling; for a particle file, those in the file."""
+    """Smallest and largest diameter [m] of a group, before sampling; for a particle file, those in the file.
+
+    Those of the spheres of clumps.
+    """
     spans = _diameters(group)
     return spans[0][0], spans[-1][1]
+
+
+def outer_diameter_range(group: Group) -> Span:
+    """As `diameter_range`, but of the spheres around clumps: the size of the particles when they are inserted."""
+    return diameter_range(group) if group.clump is None else (group.clump.outer_diameter,) * 2
 
 
 def size_classes(particles: Mapping[str, Group]) -> tuple[float, ...]:
@@ -45,6 +53,8 @@ def _diameters(group: Group) -> list[Span]:
     """Ranges of the diameters [m] of a group, in ascending order; one range for a continuous distribution."""
     if isinstance(group.insert, FileInsertion) and group.insert.found is not None:
         return [(group.insert.found.diameter_min, group.insert.found.diameter_max)]
+    if group.clump is not None:
+        return [(each, each) for each in sorted({2.0 * sphere.radius for sphere in group.clump.spheres})]
     sizes = group.sizes
     if isinstance(sizes, float):
         return [(sizes, sizes)]

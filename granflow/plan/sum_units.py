@@ -87,7 +87,8 @@ def sum_units(
     for case in [case for case in pair_cases if case.pair_key] or pair_cases:
         overlap, arguments = max_overlap * case.largest_radius, (case.pair, case.radius_eff, case.mass_eff, velocity)
         hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5
-        spring = law.loading_stiffness(*arguments) * overlap + law.viscosity(*arguments) * velocity
+        viscosity = law.viscosity(*case.dashpot_arguments, velocity)
+        spring = law.loading_stiffness(*arguments) * overlap + viscosity * velocity
         force, energy = max(force, hertz, spring), max(energy, max(hertz, spring) * overlap)
     force_scale, radius_scale = _power_of_two(force), _power_of_two(radius)
     impulse = force_scale * _power_of_two(time_step) / 2.0**IMPULSE_BITS

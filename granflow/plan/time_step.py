@@ -44,6 +44,13 @@ class PairCase:
     """Maximum number of simultaneous contacts of a particle: at most the number of other particles and walls."""
     pair_key: str | None = None
     """Key of the material pair under `pairs`; None for a contact that limits the time step but cannot occur."""
+    mass_ratio: float = 1.0
+    """Largest mass of a clump over that of its sphere: dashpots have the former, motion at least the latter."""
+
+    @property
+    def dashpot_arguments(self) -> tuple[PairMaterial, float, float]:
+        """Constants of the materials, effective radius [m], and effective mass [kg] in the contact models."""
+        return self.pair, self.radius_eff, self.mass_eff * self.mass_ratio
 
 
 @dataclass(frozen=True)
@@ -161,7 +168,8 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
     normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
-    tangential, viscosity = _tangential_stiffness(pair_case, law, velocity), law.viscosity(*pair_arguments)
+    tangential = _tangential_stiffness(pair_case, law, velocity)
+    viscosity = law.viscosity(*pair_case.dashpot_arguments, velocity)
     margin = 4.0 - normal_modes * law.unloading_angle**2
     steps = (
         _largest_step(law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0),
@@ -216,7 +224,7 @@ def _restitution_reached(
         return 0.0, ()
     least, worst = 0.0, dict[str, tuple[float, float, str]]()
     for pair_case in pair_cases:
-        pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
+        pair_arguments = (*pair_case.dashpot_arguments, velocity)
         bound, required = law.least_restitution(*pair_arguments, step), law.restitution(*pair_arguments)
         least = max(least, bound)
         key = pair_case.pair_key

@@ -157,7 +157,7 @@ def _stiffness(
     single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or section(scene.domain, _unit(given))
-    particle_count = sum(group.count for group in scene.particles.values())
+    particle_count = sum(group.sphere_count for group in scene.particles.values())
     return single, single * max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0)
 
 

@@ -12,6 +12,7 @@ from granflow.io.checkpoint_parts import LARGEST_REAL, Part
 from granflow.load import Scene
 from granflow.plan.device_arrays import DeviceArray, particle_arrays, saved_arrays, sum_arrays, wall_dynamics_arrays
 from granflow.plan.plan import Plan
+from granflow.runs.checkpoint_clumps import check_clumps
 from granflow.runs.checkpoint_contacts import check_contacts
 from granflow.runs.stage_conditions import STATE
 
@@ -194,7 +195,7 @@ def _check_arrays(
         if array.dtype == "i64":
             part[name].integers(*saved_shape, low=-(2**63), high=2**63 - 1)
         elif array.dtype == "i32":
-            part[name].integers(*saved_shape)
+            part[name].integers(*saved_shape, low=-1 if name == "clump" else 0)  # -1 for single spheres
         else:
             part[name].floats(*saved_shape)
 
@@ -220,7 +221,11 @@ def check_particles(
     sizes = (plan.radius_min * (1.0 - ROUNDING), plan.radius_max * (1.0 + ROUNDING))
     radius = particles["radius"].floats(count, low=sizes[0], high=sizes[1]).astype(float)
     number = accounting["material"].integers(inserted, high=len(density_by_name) - 1)[ids]
-    mass = 4.0 / 3.0 * pi * radius**3 * np.array([*density_by_name.values()])[number]
+    density = np.array([*density_by_name.values()])[number]
+    mass = 4.0 / 3.0 * pi * radius**3 * density
+    if "clump" in arrays:
+        group = accounting["group"].integers(inserted, high=len(plan.groups) - 1)[ids]
+        mass = check_clumps(particles, ids.astype(np.int64), group, density, plan)
     if np.any(np.abs(particles["mass"].floats(count) - mass) > ROUNDING * mass):
         raise particles["mass"].error("differs from density times volume")
     if "fixed" in arrays:
@@ -237,15 +242,16 @@ def check_particles(
 def _check_positions(particles: Part, count: int, plan: Plan) -> None:
     """Check that particles were inside the domain at the last rebuild and have moved little since.
 
-    Displacements up to twice the largest reach and positions up to one skin outside the domain are accepted, plus
-    rounding [m].
+    Displacements up to twice the largest reach and positions up to one skin outside the domain are accepted, of spheres
+    of clumps also the outer radius, plus rounding [m].
     """
     position = particles["position"].floats(count, 3).astype(float)
     at_rebuild = particles["position_at_rebuild"].floats(count, 3).astype(float)
     rounding = np.abs(at_rebuild).max(initial=0.0) * float(np.finfo(np.float32).eps)
     if np.any(np.linalg.norm(position - at_rebuild, axis=1) > 2.0 * plan.reach_max + rounding):
         raise particles["position"].error("is farther from position_at_rebuild than its reach")
-    low, high = plan.domain_low - plan.skin - rounding, plan.domain_high + plan.skin + rounding
+    margin = max([plan.skin, *(each.clump.outer_radius + plan.skin for each in plan.groups if each.clump)]) + rounding
+    low, high = plan.domain_low - margin, plan.domain_high + margin
     if plan.domain.on_exit != "expand" and np.any((at_rebuild < low) | (at_rebuild > high)):
         raise particles["position_at_rebuild"].error("is outside the domain")
 

@@ -41,6 +41,8 @@ def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> l
 def _refuse_others(plan: Plan, given: ParticleData) -> None:
     """Raise GranflowError for particles that are not those of the groups, for which the plan was made."""
     count = len(given)
+    if plan.features.clumps:
+        raise GranflowError("Particles from Python are not possible in a scene with clumps: leave particles out.")
     for name, limit in (("group", len(plan.groups)), ("material", len(plan.solids))):
         values = getattr(given, name)
         if values.shape != (count,) or np.any((values < 0) | (values >= limit)):

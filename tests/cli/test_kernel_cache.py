@@ -4,8 +4,11 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+
+from granflow.engine.kernel_cache import KERNELS, LANGUAGE, LOCKS
 
 COLLISION = ("collide", "--material", "stainless_316", "--diameter", "25.4mm", "--velocity", "0.5", "--json")
 
@@ -24,7 +27,7 @@ def granflow(cache, *arguments):
 
 
 def kernels(folder):
-    return {path.name for path in folder.glob("*.tic")}
+    return {path.name for path in folder.glob(KERNELS)}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +56,7 @@ def test_second_run_compiles_nothing(filled_cache):
 
 def test_stale_lock_is_removed(filled_cache):
     folder, output = filled_cache
-    lock = folder / "ticache.lock"
+    lock = folder / LOCKS[LANGUAGE]
     lock.touch()
     os.utime(lock, (time.time() - 3600.0,) * 2)
     assert granflow(folder, *COLLISION) == output[0]
@@ -62,8 +65,10 @@ def test_stale_lock_is_removed(filled_cache):
 
 def test_damaged_kernels_are_recompiled(filled_cache, tmp_path):
     folder, output = filled_cache
-    for path in folder.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    for path in filter(Path.is_file, folder.rglob("*")):
+        damaged = tmp_path / path.relative_to(folder)
+        damaged.parent.mkdir(exist_ok=True)
+        damaged.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     assert granflow(tmp_path, *COLLISION)[0] == output[0][0]
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from granflow.errors import GranflowError
 from granflow.io import machine
 from granflow.io.machine import allowed_cores, quota_cores, worker_count
 
@@ -76,3 +77,8 @@ def test_affinity_replaces_the_core_count_of_the_machine(monkeypatch):
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {3}, raising=False)
     monkeypatch.setattr("os.cpu_count", lambda: 64)
     assert allowed_cores() == 1
+
+
+def test_less_than_one_thread_is_refused():
+    with pytest.raises(GranflowError, match=r"^threads is 0; give at least 1, or None for all available cores\.$"):
+        worker_count(0)

@@ -12,10 +12,12 @@ import pytest
 from gpu.scenes import SCENES
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend
+from granflow.engine import backend, gpu_stepper
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.gpu_stepper import GPU_BATCH
 from granflow.kernel_language import KERNELS
+from granflow.plan import plan as plan_module
+from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
 
 OTHERS = [name for name in SCENES if name != "servo and free wall"]
@@ -38,10 +40,16 @@ def use_gpu_code_path():
     FieldBlock.__init__ = prepare_with_limit
 
 
-def results(name, as_on_gpu):
-    """Digest of all arrays at the end of a run, its totals (of a snapshot without arrays) and counts."""
+def results(name, as_on_gpu, free_memory=None):
+    """Digest of all arrays at the end of a run, its totals (of a snapshot without arrays) and counts.
+
+    free_memory:  bytes of the GPU, on which neighbor lists grow from one entry; None: they do not grow
+    """
     if as_on_gpu:
         use_gpu_code_path()
+    if free_memory is not None:
+        Plan.list_capacity_per_segment, plan_module.MIN_LIST_ENTRIES = property(lambda plan: 1), 1
+        gpu_stepper.free_device_memory = lambda arch: free_memory
     os.chdir(tempfile.mkdtemp())
     simulation = Simulation(SCENES[name](os.getcwd()), threads=2)
     simulation.run()
@@ -51,6 +59,7 @@ def results(name, as_on_gpu):
     arrays += [wall.offset for wall in last.walls.values()]
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
     counts = [timing.step_count, timing.rebuild_count, int(last.totals["contact_count"])]
+    assert (timing.growth_count > 0) == (free_memory is not None)
     totals = simulation.engine.snapshot("end", frozenset({"totals"})).totals
     assert dict(totals) == dict(last.totals)
     return digest, json.dumps(dict(totals), sort_keys=True), counts
@@ -64,6 +73,13 @@ def assert_same_results(name):
 
 def test_servo_and_free_walls_have_the_bits_of_the_cpu_code_path():
     assert_same_results("servo and free wall")
+
+
+@pytest.mark.parametrize("free_memory", [2**40, 2**20], ids=["on the device", "over the host"])
+def test_neighbor_lists_grow_without_changing_a_bit(free_memory):
+    """All fields have 1.4 MB: with 1 MiB in addition, old and new fields do not fit together."""
+    cpu, gpu = (in_subprocess(results, "periodic", *each, seconds=600) for each in ((False,), (True, free_memory)))
+    assert gpu == cpu
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Files and checkpoints of runs on MPI ranks, and the end of all ranks after a failure of one."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -26,12 +27,12 @@ LONGEST_END = 10.0
 
 @pytest.mark.parametrize(("fault", "rank"), [("failing", 1), ("failing_root", 0), ("failing_start", 1)])
 def test_an_exception_in_one_rank_ends_all(tmp_path, fault, rank):
-    began = time.monotonic()
-    done = on_ranks(2, PROGRAM, "zhou", tmp_path / "none.npz", fault, seconds=120)
+    done = on_ranks(2, PROGRAM, "zhou", tmp_path / "none.npz", fault)
+    ended = time.time()
     assert done.returncode != 0
     assert f"rank {rank} failed, which ends all ranks" in done.stderr
-    assert "a fault of this test" in done.stderr
-    assert time.monotonic() - began < 100.0
+    (began,) = re.findall(r"ArithmeticError: a fault of this test at ([\d.]+) s", done.stderr)
+    assert ended - float(began) < LONGEST_END
     assert not (tmp_path / "none.npz").exists()
 
 
@@ -227,6 +228,8 @@ def test_a_killed_rank_ends_all_within_seconds(tmp_path):
 @pytest.mark.parametrize("receives", ["mpirun", "ranks"])
 def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(tmp_path, number, receives):
     """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job."""
+    if receives == "mpirun" and rank_launcher.is_open_mpi():
+        pytest.skip("this mpirun kills the ranks")
     with endless_run(tmp_path) as (launcher, ranks):
         time.sleep(2.0)
         for process in ranks if receives == "ranks" else [launcher]:

@@ -12,11 +12,6 @@ from subprocess_runner import in_subprocess
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 
 
-@pytest.fixture(autouse=True)
-def tools_on_path(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-
-
 def module(name):
     return importlib.import_module(f"benchmark.{name}")
 

@@ -16,8 +16,7 @@ HEAD = "Radius[m] PosX[m] PosY[m] PosZ[m]\n"
 
 
 @pytest.fixture
-def tables(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
+def tables():
     return importlib.import_module("dosta_tables")
 
 

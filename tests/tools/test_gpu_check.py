@@ -15,11 +15,6 @@ TOOLS = Path(__file__).resolve().parents[2] / "tools"
 SCRIPT = TOOLS / "gpu_check.py"
 
 
-@pytest.fixture(autouse=True)
-def tools_on_path(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
-
-
 def module(name):
     return importlib.import_module(name)
 

@@ -10,8 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def mutate(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+def mutate():
     return importlib.import_module("mutate")
 
 

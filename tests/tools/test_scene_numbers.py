@@ -1,17 +1,9 @@
 """tools/scene_numbers.py and tools/scene_table.py: beds with known results, and tables."""
 
 import importlib
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
-
-
-@pytest.fixture(autouse=True)
-def tools_on_path(monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
 
 
 def module(name):

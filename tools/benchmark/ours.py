@@ -189,7 +189,7 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def relax(count: int, path: str, threads: int) -> None:
+def relax(count: int, path: str, threads: int | None) -> None:
     """Settles a loose lattice of particles in a square box about as wide as the bed is high."""
     from granflow import Simulation, load_scene
 

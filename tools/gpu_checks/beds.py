@@ -21,7 +21,7 @@ LAW = "hertz"
 
 def relax(count: int, path: str) -> None:
     """Job of a subprocess: settles `count` particles in a box and writes them to a file."""
-    ours.relax(count, path, threads=0)
+    ours.relax(count, path, threads=None)
 
 
 def bed(path: str, count: int) -> Case:

@@ -71,6 +71,8 @@ def _build_particle_forces(state: State) -> Any:
         force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
         if ti.static(exact):
             force_sum = to_grid(particles.mass[i] * acceleration, shift()[FORCE])
+            if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
+                force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
         if ti.static(plan.has_walls):
             for pass_index in range(pass_count):
                 for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):

@@ -24,7 +24,10 @@ def build_set_forces(state: State) -> Any:
     @ti.func
     def set_forces(chunk, i, force_sum, torque_sum, acceleration, dt):
         particles.force[i] = ti.cast(force_sum, real)
-        if ti.static(not exact):
+        if ti.static(features.clumps and not exact):
+            if particles.clump[i] < 0:  # the weight of a clump acts at its center of mass
+                particles.force[i] = particles.force[i] + particles.mass[i] * acceleration
+        elif ti.static(not exact):
             particles.force[i] = particles.force[i] + particles.mass[i] * acceleration
         if ti.static(features.external_forces):
             particles.force[i] = particles.force[i] + external_force(chunk, i, particles.force[i], dt)

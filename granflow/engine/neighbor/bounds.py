@@ -3,7 +3,7 @@
 from typing import Any
 
 from granflow.engine.neighbor.cell_grid import build_lay_grids
-from granflow.engine.neighbor.phases import Phase, part_range
+from granflow.engine.neighbor.phases import Phase, is_count, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SUBPARTS
@@ -59,7 +59,8 @@ def _build_bounds_of(state: State) -> Any:
     @ti.func
     def bounds_of(first, begin, end, rebuild):
         smallest, largest, reach_largest, limit = position[first], position[first], 0.5 * rebuild.skin, reach_max()
-        for i in range(begin, end):
+        i = begin
+        while i < end and is_count(reach_largest):
             smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
             reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
@@ -67,6 +68,7 @@ def _build_bounds_of(state: State) -> Any:
                 reach = particles.reach[i]
             particles.reach[i] = reach
             reach_largest = ti.max(reach_largest, reach)
+            i += 1
         return smallest, largest, reach_largest
 
     return bounds_of

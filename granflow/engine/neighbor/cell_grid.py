@@ -8,6 +8,7 @@ from typing import Any
 
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.engine.neighbor.phases import is_count
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS
@@ -45,9 +46,11 @@ def build_lay_grids(state: State) -> Any:
     def lay_grids(count):
         parts = ti.min(count, BOUNDS)
         low, high, reach = sorting.low[0], sorting.high[0], sorting.reach[0]
-        for part in range(parts):
+        part = 0
+        while part < parts and is_count(reach):
             low, high = ti.min(low, sorting.low[part]), ti.max(high, sorting.high[part])
             reach = ti.max(reach, sorting.reach[part])
+            part += 1
         sorting.reach_largest[0] = reach
         if ti.static(expands):
             if ti.max(-low.min(), high.max()) > coordinate_limit():
@@ -83,15 +86,19 @@ def _build_lay_grid(state: State) -> Any:
     @ti.func
     def lay_grid(grid, parts, low, high, side):
         limit = cell_capacity() >> grid
-        found_low, sides, cells = grid_over(low, high, side, limit)
-        is_coarse = False
-        for axis in ti.static(other_axes):
-            is_coarse = is_coarse or sides[axis] > side
-        if is_coarse:
-            inner_low, inner_high = within(parts, low, high)
-            finer_low, finer_sides, finer_cells = grid_over(inner_low, inner_high, side, limit)
-            if finer_sides[0] * finer_sides[1] * finer_sides[2] < VOLUME_RATIO * sides[0] * sides[1] * sides[2]:
+        box_low, box_high, is_coarse = low, high, True
+        found_low, sides, cells = low, high - low, ti.Vector([0, 0, 0])
+        attempt = 0
+        while is_coarse and attempt < 2:  # one call of `grid_over`, which is compiled once
+            if attempt == 1:
+                box_low, box_high = within(parts, low, high)
+            finer_low, finer_sides, finer_cells = grid_over(box_low, box_high, side, limit)
+            finer_volume, volume = finer_sides[0] * finer_sides[1] * finer_sides[2], sides[0] * sides[1] * sides[2]
+            if attempt == 0 or finer_volume < VOLUME_RATIO * volume:
                 found_low, sides, cells = finer_low, finer_sides, finer_cells
+            is_coarse, attempt = False, attempt + 1
+            for axis in ti.static(other_axes):
+                is_coarse = is_coarse or sides[axis] > side
         sorting.grid_low[grid], sorting.cell_side[grid], sorting.cells[grid] = found_low, sides, cells
         blocks = (cells + BLOCK_SIDE - 1) // BLOCK_SIDE
         sorting.cell_count[grid] = blocks[0] * blocks[1] * blocks[2] * BLOCK_CELLS
@@ -111,26 +118,22 @@ def _build_within(state: State) -> Any:
     @ti.func
     def within(parts, low, high):
         outliers = ti.cast(OUTLIER_SHARE * ti.cast(parts, ti.f32), ti.i32)
-        inner_low, inner_high = low, high
-        for axis in ti.static(range(3)):
-            begin, end = low[axis], high[axis]  # at most `outliers` parts are below `begin`
-            first, last = low[axis], high[axis]  # at most `outliers` parts are above `last`
-            for _ in range(bisections):
-                middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
-                below, above = 0, 0
-                for part in range(parts):
-                    below += ti.cast(sorting.low[part][axis] < middle_low, ti.i32)
-                    above += ti.cast(sorting.high[part][axis] > middle_high, ti.i32)
-                if below <= outliers:
-                    begin = middle_low
-                else:
-                    end = middle_low
-                if above <= outliers:
-                    last = middle_high
-                else:
-                    first = middle_high
-            inner_low[axis], inner_high[axis] = begin, last
-        return inner_low, inner_high
+        begin, end = low, high  # at most `outliers` parts are below `begin`
+        first, last = low, high  # at most `outliers` parts are above `last`
+        below, above, bisection = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0]), 0
+        while bisection < bisections and is_count(below[0]):
+            bisection += 1
+            middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
+            below, above = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0])
+            part = 0
+            while part < parts and (below.min() <= outliers or above.min() <= outliers):
+                below += ti.cast(sorting.low[part] < middle_low, ti.i32)
+                above += ti.cast(sorting.high[part] > middle_high, ti.i32)
+                part += 1
+            few_below, few_above = below <= outliers, above <= outliers
+            begin, end = ti.select(few_below, middle_low, begin), ti.select(few_below, end, middle_low)
+            first, last = ti.select(few_above, first, middle_high), ti.select(few_above, middle_high, last)
+        return begin, last
 
     return within
 

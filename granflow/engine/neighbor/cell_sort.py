@@ -7,7 +7,7 @@ from typing import Any
 
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
-from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import SCAN_BLOCK
@@ -159,18 +159,22 @@ def _build_particle_parts(
     @ti.func
     def count_particles(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        for i in range(begin, end):
+        cell, i = 0, begin
+        while i < end and is_count(cell):
             cell = cell_of(i, cells_of_all())
             cells[i] = cell
             ti.atomic_add(start[cell], 1)
+            i += 1
 
     @ti.func
     def place(part, rebuild):
         parts = part_count(rebuild)
         begin, end = part_range(parts - 1 - part, parts, count_of(rebuild))
-        for k in range(begin, end):
-            i = begin + end - 1 - k
-            order[ti.atomic_sub(start[cells[i]], 1) - 1] = i
+        cell, i = 0, end - 1
+        while i >= begin and is_count(cell):
+            cell = cells[i]
+            order[ti.atomic_sub(start[cell], 1) - 1] = i
+            i -= 1
 
     return count_particles, place
 
@@ -190,26 +194,31 @@ def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
     @ti.func
     def sum_block(block, rebuild):
         begin, end = range_of(block)
-        total = 0
-        for c in range(begin, end):
+        total, c = 0, begin
+        while c < end and is_count(total):
             total += start[c]
+            c += 1
         sorting.block_sum[block] = total
 
     @ti.func
     def sum_blocks(rebuild):
         total = 0
-        for block in range(block_count(rebuild)):
+        block = 0
+        while block < block_count(rebuild) and is_count(total):
             here = sorting.block_sum[block]
             sorting.block_sum[block] = total
             total += here
+            block += 1
 
     @ti.func
     def scan_block(block, rebuild):
         begin, end = range_of(block)
         total = sorting.block_sum[block]
-        for c in range(begin, end):
+        c = begin
+        while c < end and is_count(total):
             total += start[c]
             start[c] = total
+            c += 1
 
     return [Phase(block_count, sum_block, most_blocks, sum_blocks), Phase(block_count, scan_block, most_blocks)]
 

@@ -23,9 +23,12 @@ def find_farthest(state: State) -> None:
 def build_remains(state: State) -> Any:
     """Device function (i): true if particle i is in the domain, not in an outlet, and not removed from Python.
 
-    Reads:  position, radius, fixed
+    The spheres of a clump remain if its center of mass does.
+
+    Reads:  position, radius, fixed, clump, clump_position
     """
     particles, fixed_particles, remains_at = state.particles, state.plan.features.fixed_particles, _build_remains(state)
+    clumps = state.plan.features.clumps
 
     @ti.func
     def remains(i):
@@ -34,7 +37,14 @@ def build_remains(state: State) -> Any:
             fixed = particles.fixed[i]
         return remains_at(particles.position[i], particles.radius[i], fixed)
 
-    return remains
+    @ti.func
+    def clump_remains(i):
+        found = remains(i)
+        if particles.clump[i] >= 0:
+            found = remains_at(particles.clump_position[i], particles.radius[i], 0)
+        return found
+
+    return clump_remains if clumps else remains
 
 
 def remaining(state: State, arrays: Mapping[str, np.ndarray]) -> np.ndarray:

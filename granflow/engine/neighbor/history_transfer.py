@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from granflow.engine.neighbor.phases import is_count
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
@@ -26,9 +27,10 @@ def build_save_history(state: State) -> Any:
 
     @ti.func
     def entries_in_contact(i):
-        count = 0
-        for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+        count, list_index = 0, neighbors.list_begin[i]
+        while list_index < neighbors.list_end[i] and is_count(count):
             count += ti.cast(neighbors.in_contact[list_index] == 1, ti.i32)
+            list_index += 1
         return count
 
     @ti.func
@@ -45,14 +47,18 @@ def build_save_history(state: State) -> Any:
         else:
             limit += begin
         saved_index = begin
-        for i in range(first, last):
+        i = first
+        while i < last and is_count(saved_index):
             neighbors.list_begin_before[i] = saved_index
-            for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+            list_index = neighbors.list_begin[i]
+            while list_index < neighbors.list_end[i] and is_count(saved_index):
                 if neighbors.in_contact[list_index] == 1:
                     if saved_index < limit:
                         save_entry(list_index, saved_index)
                     saved_index += 1
+                list_index += 1
             neighbors.list_end_before[i] = saved_index
+            i += 1
         if ti.static(not one_segment):
             ti.atomic_max(state.control.list_length_needed[0], saved_index - begin)
 
@@ -98,10 +104,11 @@ def _build_source(state: State) -> Any:
     @ti.func
     def find_saved(row, partner):
         """Index in `saved` of a partner of the particle `row`; -1 if none."""
-        found = -1
-        for list_index in range(neighbors.list_begin_before[row], neighbors.list_end_before[row]):
+        found, list_index = -1, neighbors.list_begin_before[row]
+        while found < 0 and list_index < neighbors.list_end_before[row]:
             if neighbors.partner_saved[list_index] == partner:
                 found = list_index
+            list_index += 1
         return found
 
     @ti.func

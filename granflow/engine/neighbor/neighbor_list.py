@@ -1,7 +1,6 @@
 """Neighbor list (Verlet list): candidate pairs of each particle, found in the cells around it.
 
-The order of the cells and of the particles in them determines the order of each list: identical bits for any number of
-threads.
+The order of the cells and of their particles determines that of each list: identical bits for any number of threads.
 """
 
 from typing import Any
@@ -18,7 +17,7 @@ from granflow.engine.neighbor.cells import (
     wrapped_cell,
 )
 from granflow.engine.neighbor.history_transfer import build_restore_history
-from granflow.engine.neighbor.phases import Phase
+from granflow.engine.neighbor.phases import Phase, is_count
 from granflow.engine.periodic_box import build_image_index, build_minimum_image, build_shift_by_images
 from granflow.engine.state import State
 from granflow.engine.walls import WallGeometry
@@ -240,9 +239,10 @@ class NeighborListFill:
     @ti.func
     def _append_cells(self, owner: ti.template(), list_index, grid, first, end, image):
         """Append partners from a range of cells of a grid."""
-        list_end, cells = list_index, self.sorting.cells[grid]
-        for z in range(first[2], end[2]):
-            for y in range(first[1], end[1]):
+        list_end, cells, z = list_index, self.sorting.cells[grid], first[2]
+        while z < end[2] and is_count(list_end):
+            y = first[1]
+            while y < end[1] and is_count(list_end):
                 x = first[0]
                 while x < end[0]:
                     cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
@@ -250,26 +250,32 @@ class NeighborListFill:
                     count = ti.min(end[0] - x, cells[0] - cell[0], BLOCK_SIDE - cell[0] % BLOCK_SIDE)
                     list_end = self._append_range(owner, list_end, grid, cell_number(cell, cells), count, image)
                     x += count
+                y += 1
+            z += 1
         return list_end
 
     @ti.func
     def _append_range(self, owner: ti.template(), list_index, grid, cell, count, image):
         """Append partners from `count` consecutive cells of a grid."""
-        list_end = list_index
+        list_end, k = list_index, 0
         if ti.static(self.by_class):
             begin = self.sorting.first_cell[grid] + cell
-            for k in range(self.sorting.class_start[begin], self.sorting.class_start[begin + count]):
+            k = self.sorting.class_start[begin]
+            while k < self.sorting.class_start[begin + count] and is_count(list_end):
                 list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
+                k += 1
         else:
-            for j in range(self.sorting.cell_start[cell], self.sorting.cell_start[cell + count]):
-                list_end = self._append_if_near(owner, list_end, j, image)
+            k = self.sorting.cell_start[cell]
+            while k < self.sorting.cell_start[cell + count] and is_count(list_end):
+                list_end = self._append_if_near(owner, list_end, k, image)
+                k += 1
         return list_end
 
     @ti.func
     def _can_cross(self, position, skin):
         """True if a particle can cross a sheared face before the next rebuild; it is an image for others then."""
-        low, high, coordinate = self.domain_low(), self.domain_high(), position[self.gradient]
-        return coordinate < low[self.gradient] + skin or coordinate > high[self.gradient] - skin
+        axis = ti.static(self.gradient)
+        return position[axis] < self.domain_low()[axis] + skin or position[axis] > self.domain_high()[axis] - skin
 
     @ti.func
     def _append_if_near(self, owner: ti.template(), list_index, j, image):
@@ -277,14 +283,13 @@ class NeighborListFill:
 
         Along a sheared gradient, append only partners whose nearest image is the given one.
         """
-        list_end, i = list_index, owner.i
+        list_end, i, is_nearest_image = list_index, owner.i, True
         # A half list within a chunk, a full list across chunks: no two workers write to the same particle.
         if j > i or j < owner.first or j >= owner.end:
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
             reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()
             reach += self.particles.reach[i] + self.particles.reach[j]
-            is_nearest_image = True
             if ti.static(self.sheared):
                 is_nearest_image = self.image_index(position, partner_position) == image
                 # Up to the next rebuild the image moves by at most the skin, in addition to the particles.

@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from granflow.engine.clumps import index_phase
 from granflow.engine.contact_histories import HistoryTable
 from granflow.engine.device_flags import DeviceFlags, read_flags
 from granflow.engine.host_copy import copy_to_host, saved_particle_table
@@ -36,6 +37,8 @@ class RebuildKernel:
         phases = bounds_phases(state)
         if not state.plan.has_ghosts:  # ranks sort their particles on the host
             phases = [*_chunk_phases(state), *phases, *sort_phases(state), *reorder_phases(state)]
+        if state.plan.features.clumps:
+            phases.append(index_phase(state))
         if state.cell_sort.class_order is not None:
             phases += class_phases(state)
         self.fill = len(phases)

@@ -3,7 +3,7 @@
 from typing import Any
 
 from granflow.engine.host_fields import components
-from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
@@ -48,17 +48,21 @@ def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
     @ti.func
     def gather(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        for k in range(begin, end):
+        source, k = 0, begin
+        while k < end and is_count(source):
             source = order[k]
             for field, buffer in ti.static(pairs):
                 buffer[k] = ti.cast(field[source], buffer.dtype)
+            k += 1
 
     @ti.func
     def copy_back(part, rebuild):
         begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        for k in range(begin, end):
+        k = begin
+        while k < end and is_count(order[k]):
             for field, buffer in ti.static(pairs):
                 field[k] = ti.cast(buffer[k], field.dtype)
+            k += 1
 
     most = order.shape[0]
     return [Phase(part_count, gather, most), Phase(part_count, copy_back, most)]

@@ -54,5 +54,6 @@ def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
 
 
 def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
-    """Mass [kg] of a particle of a group with a radius [m]."""
-    return sphere_mass(radius, plan.solids[group.material].density)
+    """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
+    density = plan.solids[group.material].density
+    return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density

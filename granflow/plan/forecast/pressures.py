@@ -101,7 +101,9 @@ def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, f
 
 
 def mean_volume(group: Group) -> float:
-    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters."""
+    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters; that of a clump."""
+    if group.clump is not None:
+        return group.clump.shape.volume
     if isinstance(group.insert, FileInsertion):
         diameters = np.array(diameter_range(group))
     else:

@@ -12,7 +12,7 @@ from granflow.particles.particle_data import ParticleData
 from granflow.particles.regions import RegionSampler, sampler_of
 from granflow.plan.forecast.times import is_present, nominal_times
 from granflow.plan.plan import Plan
-from granflow.plan.size_classes import diameter_range
+from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
 from granflow.scene.schema.insertion import InletInsertion, LatticeInsertion, PackInsertion, RainInsertion
 from granflow.scene.schema.particles import Group
@@ -27,7 +27,7 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
         region = region_of(group)
         if region is None or group.fixed:
             continue
-        radius = 0.5 * diameter_range(group)[0]
+        radius = 0.5 * outer_diameter_range(group)[0]
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
@@ -71,7 +71,7 @@ def region_of(group: Group) -> RegionSampler | None:
     if isinstance(insertion, LatticeInsertion | PackInsertion | RainInsertion):
         return sampler_of(insertion.region)
     if isinstance(insertion, InletInsertion):
-        return insertion_region(insertion, 0.5 * diameter_range(group)[1], np.array(group.velocity, float), 0.0)
+        return insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0)
     return None
 
 

@@ -9,7 +9,7 @@ from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
 from granflow.load import Scene
 from granflow.plan.forecast.times import present_from
-from granflow.plan.size_classes import diameter_range
+from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
 from granflow.scene.schema.motions import Translation
 
@@ -47,7 +47,7 @@ def size_warnings(scene: Scene) -> Iterator[str]:
     """A sentence for each group with particles that are larger than the domain."""
     largest_side = float(np.subtract(scene.domain.max, scene.domain.min).max())
     for name, group in scene.particles.items():
-        diameter = diameter_range(group)[1]
+        diameter = outer_diameter_range(group)[1]
         if diameter > TOO_LARGE * largest_side and scene.domain.on_exit != "expand":
             yield (
                 f"particles.{name} ({scene.where('particles', name, 'diameter')}): the diameter {diameter:.3g} m is "
@@ -65,7 +65,7 @@ def _gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.
     axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
-    reach += 0.5 * max(diameter_range(group)[1] for group in scene.particles.values())
+    reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
     end = max(stage_end for _, stage_end in times.values())
     poses = pose([each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count))
     gaps = []

@@ -8,6 +8,7 @@ from pydantic import Field, Tag, model_validator
 
 from granflow.scene.document import KeyPath
 from granflow.scene.schema import quantities as q
+from granflow.scene.schema.clumps import Clump
 from granflow.scene.schema.faults import Fault, missing, redundant, whole
 from granflow.scene.schema.fields import Flag, Model, Text, choose_by
 from granflow.scene.schema.insertion import Insertion
@@ -80,7 +81,9 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     material: Text = Field(description="name of the particles' material")
     count_given: q.ParticleCount | None = Field(
-        None, alias="count", description="number of particles; with positions or file: default is the number of rows"
+        None,
+        alias="count",
+        description="number of particles, or of clumps; with positions or file: default is the number of rows",
     )
     mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
     diameter: Sizes = Field(
@@ -88,6 +91,11 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
     )
     radius: RadiusOrMany | None = Field(
         None, description="radius [m], instead of diameter; with positions, also a list; with file, not allowed"
+    )
+    clump: Clump | None = Field(
+        None,
+        description="rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
+        "instead of diameter",
     )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
     angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
@@ -99,17 +107,24 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
 
     @property
     def count(self) -> int:
-        """Number of particles. Raises ValueError if it depends on a mass or a file and the scene is not resolved."""
+        """Number of particles, or of clumps. Raises ValueError if it is not resolved from a mass or a file."""
         if self.count_given is None:
             raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
         return self.count_given
 
     @property
+    def sphere_count(self) -> int:
+        """Number of spheres: those of all clumps, or the number of particles. Raises ValueError as `count`."""
+        return self.count * (1 if self.clump is None else len(self.clump.spheres))
+
+    @property
     def sizes(self) -> SizeSpec:
         """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
 
-        Raises ValueError if a file defines them.
+        The outer diameter of clumps. Raises ValueError if a file defines them.
         """
+        if self.clump is not None:
+            return self.clump.outer_diameter
         if self.diameter is not None:
             return self.diameter
         if self.radius is None:
@@ -131,6 +146,8 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         yield from self._amount_faults()
         yield from self._list_faults()
         yield from self._size_faults()
+        if self.clump is not None:
+            yield from self._clump_faults()
         if self.thermal is not None:
             yield from self._thermal_faults(self.thermal)
         if self.fixed:
@@ -140,8 +157,11 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
                 yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
 
     def _size_faults(self) -> Iterator[Fault]:
-        """Yield a fault unless exactly one of diameter, radius and file defines the sizes."""
+        """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
         given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
+        if self.clump is not None:
+            yield from (Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given)
+            return
         if not given and self.insert.kind != "file":
             yield missing(("diameter",), "diameter [m], or a size distribution")
         elif given and self.insert.kind == "file":
@@ -183,6 +203,14 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             reason = "one particle has momentum; write zero_momentum: false, or give two particles"
             yield whole(("thermal",), f"cannot have zero momentum: {reason}")
 
+    def _clump_faults(self) -> Iterator[Fault]:
+        """Clumps move, and are inserted by the scene."""
+        if self.fixed:
+            yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
+        if self.insert.kind in ("file", "python"):
+            kinds = "positions, lattice, pack, rain or inlet"
+            yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {kinds}")
+
     def _fixed_faults(self) -> Iterator[Fault]:
         """Fixed particles must exist from the start and be at rest."""
         if self.insert.kind in ("rain", "inlet"):
@@ -200,3 +228,5 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
             value = getattr(self, key)
             if isinstance(value[0], tuple):
                 yield (key,), len(value)
+        if self.clump is not None and isinstance(self.clump.orientation, tuple):
+            yield ("clump", "orientation"), len(self.clump.orientation)

@@ -69,6 +69,12 @@ Vector3 = tuple[float, float, float]
 Point = Annotated[tuple[Length, Length, Length], _vector]
 """Position or edge vector (3,) [m], proportional to `scale`."""
 
+UnscaledPoint = Annotated[
+    tuple[Annotated[float, Number("length")], Annotated[float, Number("length")], Annotated[float, Number("length")]],
+    _vector,
+]
+"""Position (3,) [m] within a particle, independent of `scale`."""
+
 Sides = Annotated[tuple[Point, Point], pair_list("two edge vectors")]
 """The two edge vectors of a rectangle [m]."""
 

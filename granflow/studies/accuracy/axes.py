@@ -1,4 +1,4 @@
-"""Parameters of the two-particle study: contact model, integrator, precision, time step and kinds of collision."""
+"""Parameters of the two-particle study: contact model, precision, time step and kinds of collision."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -77,11 +77,7 @@ STUDIED_LAWS = (
     StudiedLaw("linear", {"law": "linear", "stiffness": "onset"}, RESTITUTIONS),
     StudiedLaw("hertz, elastic", "hertz", (1.0,)),
 )
-"""Contact models of the study; an elastic contact separates errors of the integrator from those of damping."""
-
-
-INTEGRATOR = "leapfrog"
-"""The only time integration scheme; docs/pages/explanation/accuracy.md compares it with alternatives."""
+"""Contact models of the study; an elastic contact separates errors of the integration from those of damping."""
 
 
 def reference_case() -> PaperCase:

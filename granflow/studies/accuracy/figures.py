@@ -10,7 +10,7 @@ from granflow.studies.accuracy.points import QUANTITIES, QUANTITY_LABELS, StudyL
 from granflow.studies.figures import COLORS, MARKERS
 
 LINE_STYLES = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
-"""Line style and marker of each precision; contact models and integrators have colors."""
+"""Line style and marker of each precision; contact models have colors."""
 LOWEST = 1e-9
 """Smaller errors are drawn at this value."""
 
@@ -18,28 +18,27 @@ HIGHEST = 3.0
 """Upper end of the error axis."""
 
 
-def _names(lines: Sequence[StudyLine]) -> list[tuple[str, str]]:
-    """Unique (contact model, integrator) pairs of the lines, in their order."""
-    return list(dict.fromkeys((line.law, line.integrator) for line in lines))
+def _names(lines: Sequence[StudyLine]) -> list[str]:
+    """Contact models of the lines, in their order."""
+    return list(dict.fromkeys(line.law for line in lines))
 
 
-def _label(line: StudyLine, lines: Sequence[StudyLine]) -> str:
-    """Legend entry; includes the integrator if several are shown."""
-    several = len({each.integrator for each in lines}) > 1
-    return f"{line.law}, {line.integrator}, {line.precision}" if several else f"{line.law}, {line.precision}"
+def _label(line: StudyLine) -> str:
+    """Legend entry."""
+    return f"{line.law}, {line.precision}"
 
 
-def _with_order(line: StudyLine, lines: Sequence[StudyLine]) -> str:
+def _with_order(line: StudyLine) -> str:
     """Legend entry with the fitted order of convergence of the restitution, in double precision."""
     order = fitted_order(line.steps, line.error("restitution")) if line.precision == "f64" else None
-    return _label(line, lines) + (f": order {order.order:.2f}" if order else "")
+    return _label(line) + (f": order {order.order:.2f}" if order else "")
 
 
 def _plot(
     axes: Any, line: StudyLine, lines: Sequence[StudyLine], x: np.ndarray, error: np.ndarray, **more: Any
 ) -> None:
     """Plot an error against `x`, with color by contact model and line style by precision."""
-    line_index = _names(lines).index((line.law, line.integrator))
+    line_index = _names(lines).index(line.law)
     style, marker = LINE_STYLES.get(line.precision, ("-", MARKERS[-1]))
     axes.plot(
         x, error, linestyle=style, marker=marker, color=COLORS[line_index % len(COLORS)], linewidth=0.9,
@@ -62,9 +61,9 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
 
     def draw(figure: Any) -> None:
         work, steps = figure.subplots(1, 2, sharey=True)
-        for line in sorted(lines, key=lambda line: _names(lines).index((line.law, line.integrator))):
+        for line in sorted(lines, key=lambda line: _names(lines).index(line.law)):
             error = np.maximum(line.error("restitution"), LOWEST)
-            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line, lines))
+            _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line))
             ends = (1e6 * line.seconds(which) for which in ("min", "max"))
             work.hlines(error, *ends, color="0.8", linewidth=0.5, zorder=0)
             _plot(steps, line, lines, 1.0 / line.steps, error)
@@ -85,7 +84,7 @@ def draw_convergence(lines: Sequence[StudyLine], target: float) -> Callable[[Any
         axes = figure.subplots()
         for line in exact:
             error = np.maximum(line.error("restitution"), LOWEST)
-            _plot(axes, line, exact, line.steps, error, label=_with_order(line, exact))
+            _plot(axes, line, exact, line.steps, error, label=_with_order(line))
         loglog(
             axes, target, xlabel="time steps per collision", ylabel="restitution error", ylim=(0.3 * LOWEST, HIGHEST)
         )
@@ -103,7 +102,7 @@ def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
         for letter, axes, quantity in zip("abcd", panels.flat, QUANTITIES, strict=True):
             for line in exact:
                 order = fitted_order(line.steps, line.error(quantity))
-                label = f"{_label(line, exact)}: {order.order:.2f}" if order else _label(line, exact)
+                label = f"{_label(line)}: {order.order:.2f}" if order else _label(line)
                 _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
             loglog(axes, ylim=(0.3 * LOWEST, HIGHEST), title=f"({letter}) {QUANTITY_LABELS[quantity]}")
             axes.legend(loc="lower right", fontsize=7.0)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from granflow import SceneError
-from granflow.studies.accuracy.axes import INTEGRATOR, PHASES, STEPS, CollisionKind, StudiedLaw
+from granflow.studies.accuracy.axes import PHASES, STEPS, CollisionKind, StudiedLaw
 from granflow.studies.accuracy.collisions import REPEATS, AccuracyBench, CollisionResults
 
 QUANTITIES = ("restitution", "duration", "overlap_max", "energy")
@@ -33,7 +33,6 @@ class StudyPoint:
     """
 
     law: str
-    integrator: str
     precision: str
     steps: float
     time_step: float
@@ -56,10 +55,9 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class StudyLine:
-    """All points of one contact model, integrator and precision: each number of steps for each kind of collision."""
+    """All points of one contact model and precision: each number of steps for each kind of collision."""
 
     law: str
-    integrator: str
     precision: str
     points: tuple[StudyPoint, ...]
 
@@ -122,7 +120,7 @@ def measured_line(
             refused.append(count)
     bench.free()
     descriptions = [f"{studied_law.name} with {', '.join(f'{n:g}' for n in refused)} steps per collision"]
-    return StudyLine(studied_law.name, INTEGRATOR, precision, tuple(points)), descriptions if refused else []
+    return StudyLine(studied_law.name, precision, tuple(points)), descriptions if refused else []
 
 
 def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
@@ -131,7 +129,7 @@ def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]
     Wall times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
-    shared = {"law": bench.studied_law.name, "integrator": INTEGRATOR, "precision": bench.precision,
+    shared = {"law": bench.studied_law.name, "precision": bench.precision,
               "steps": float(results.steps), "time_step": results.time_step, "repeats": len(seconds),
               "seconds_median": float(np.median(seconds)), "seconds_min": float(seconds.min()),
               "seconds_max": float(seconds.max())}  # fmt: skip

@@ -1,10 +1,10 @@
 """Steps and cost that each line of the study requires for a target error, and the resulting recommendation.
 
-A line is one contact model with one integrator and precision.
+A line is one contact model with one precision.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def recommendation(lines: Sequence[StudyLine], target: float) -> str:
     median, least, most = (MANY * each for each in best.seconds)
     return (
         f"For {100.0 * target:g} % error in restitution use dt = T/{best.steps:g}, where T is the collision time "
-        f"(time_step_fraction {best.share:.2g}), precision {best.line.precision}, integrator {best.line.integrator}: "
+        f"(time_step_fraction {best.share:.2g}), precision {best.line.precision}: "
         f"it costs {median:.3g} s per million collisions ({least:.3g} to {most:.3g})."
     )
 
@@ -111,7 +111,7 @@ def table_heads(target: float) -> tuple[str, ...]:
     """Column headings of `table_rows`."""
     requested = f"{100.0 * target:g} %"
     return (
-        "contact model", "integrator", "precision", "order of e (fitted steps)", "smallest error of e",
+        "contact model", "precision", "order of e (fitted steps)", "smallest error of e",
         f"steps for {requested}", f"time_step_fraction for {requested}", "s per million collisions",
     )  # fmt: skip
 
@@ -128,7 +128,7 @@ def table_rows(lines: Iterable[StudyLine], target: float) -> list[tuple[str, ...
             median, low, high = (MANY * each for each in requirement.seconds)
             needed = (f"{requirement.steps:g}", f"{requirement.share:.2g}", f"{median:.3g} ({low:.3g}–{high:.3g})")
         rows.append((
-            line.law, line.integrator, line.precision, order.text if order else "–", _short(least), *needed,
+            line.law, line.precision, order.text if order else "–", _short(least), *needed,
         ))  # fmt: skip
     return rows
 
@@ -144,12 +144,11 @@ def velocity_rows(lines: Iterable[StudyLine], target: float) -> tuple[tuple[str,
     for line in lines:
         cells = []
         for velocity in velocities:
-            part = StudyLine(line.law, line.integrator, line.precision,
-                        tuple(point for point in line.points if point.velocity == velocity))  # fmt: skip
+            part = replace(line, points=tuple(point for point in line.points if point.velocity == velocity))
             requirement = requirement_of(part, target)
             cells.append(f"{requirement.steps:g}" if requirement else "–")
-        rows.append((line.law, line.integrator, line.precision, *cells))
-    return ("contact model", "integrator", "precision", *(f"{velocity:g} m/s" for velocity in velocities)), rows
+        rows.append((line.law, line.precision, *cells))
+    return ("contact model", "precision", *(f"{velocity:g} m/s" for velocity in velocities)), rows
 
 
 def _short(value: float) -> str:

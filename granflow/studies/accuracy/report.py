@@ -6,10 +6,7 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 from granflow.studies.accuracy import axes
-from granflow.studies.accuracy.axes import (
-    INTEGRATOR,
-    STUDIED_LAWS,
-)
+from granflow.studies.accuracy.axes import STUDIED_LAWS
 from granflow.studies.accuracy.collisions import REPEATS
 from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
 from granflow.studies.accuracy.orders import fitted_order
@@ -53,7 +50,7 @@ def measure_two_bodies(
     lines, refused = [], []
     for precision in axes.PRECISIONS:
         for studied_law in STUDIED_LAWS:
-            report(f"{studied_law.name}, {INTEGRATOR}, {precision}")
+            report(f"{studied_law.name}, {precision}")
             line, problems = measured_line(studied_law, precision, counts, repeats, threads=1)
             lines.append(line)
             refused += problems
@@ -92,6 +89,6 @@ def _orders(lines: Sequence[StudyLine]) -> PageTable:
     rows = []
     for line in lines:
         orders = [fitted_order(line.steps, line.error(quantity)) for quantity in QUANTITIES]
-        rows.append((line.law, line.integrator, line.precision, *(order.text if order else "–" for order in orders)))
-    heads = ("contact model", "integrator", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
+        rows.append((line.law, line.precision, *(order.text if order else "–" for order in orders)))
+    heads = ("contact model", "precision", *(QUANTITY_LABELS[quantity] for quantity in QUANTITIES))
     return PageTable(heads, rows)

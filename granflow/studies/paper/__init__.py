@@ -1,5 +1,1 @@
 """Reproduction of Zhou (2011): figures and tables from simulated collisions, and a comparison of all contact models."""
-
-from granflow.studies.paper.report import write_paper
-
-__all__ = ["write_paper"]

@@ -5,7 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from granflow import Run, read_run
-from granflow.io.atomic_files import replacing
+from granflow.io.atomic_files import write_text
 from granflow.studies.page import page_text
 from granflow.studies.report import sections
 from granflow.studies.report.field_grids import field_content
@@ -31,8 +31,7 @@ def write_report(
     path.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as scratch:
         text = report_text(record, script, pictures_for(directory, Path(scratch)) if pictures else None)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
     return path
 
 

@@ -1,0 +1,227 @@
+"""Clumps on the device: rigid bodies whose spheres are particles.
+
+Each sphere has a copy of the state of its clump: center of mass, velocity, angular momentum L in the frame of the scene
+and orientation, a unit quaternion q. Each copy is integrated with the same operations, from the forces on all spheres
+in the order of their ids, so that all copies have the same bits, and no sphere writes to another one.
+
+Leapfrog form of velocity Verlet, with the torque M about the center of mass and the principal moments I:
+
+    v(t + dt/2) = v(t - dt/2) + dt F(t) / m          x(t + dt) = x(t) + dt v(t + dt/2)
+    L(t + dt/2) = L(t - dt/2) + dt M(t)              q(t + dt): rotation with this angular momentum
+
+The rotation is split into rotations about the principal axes e_k, each with an angular velocity L . e_k / I_k, which it
+does not change (Dullweber, Leimkuhler & McLachlan, J. Chem. Phys. 107 (1997) 5840), here in a symmetric sequence
+z y x x y z of half steps. Half a step turns by 2 atan(dt L . e_k / (4 I_k)) instead of dt L . e_k / (2 I_k): a function
+of L . e_k, so that the step remains symplectic and of second order, without trigonometric functions. L is exact.
+"""
+
+from typing import Any
+
+from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.periodic_box import build_add_energy_gain, build_minimum_image, build_wrap, build_wrap_position
+from granflow.engine.state import State
+from granflow.kernel_language import ti
+
+
+@ti.func
+def scaled_rotation(q):
+    """|q|^2 times the rotation matrix of a quaternion (w, x, y, z); its columns are the principal axes."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ti.Matrix(
+        [
+            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+@ti.func
+def turned(q, axis: ti.template(), tangent):
+    """q after a rotation about a principal axis e by an angle with this tangent of its half: q (1 + tangent e).
+
+    The result is sqrt(1 + tangent^2) times as long as q.
+    """
+    u = ti.Vector([q[1], q[2], q[3]])
+    e = 0.0 * u
+    e[axis] = tangent
+    v = u + q[0] * e + u.cross(e)
+    return ti.Vector([q[0] - u.dot(e), v[0], v[1], v[2]])
+
+
+@ti.func
+def half_turned(q, momentum, inertia, dt, axes: ti.template()):
+    """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
+    found, square, quarter = q, q.dot(q), 0.25 * dt / inertia
+    for axis in ti.static(axes):
+        along = (scaled_rotation(found).transpose() @ momentum)[axis]
+        tangent = quarter[axis] * along / square
+        found, square = turned(found, axis, tangent), square * (1.0 + tangent * tangent)
+    return found / ti.sqrt(found.dot(found))
+
+
+@ti.func
+def angular_velocity_of(q, momentum, inertia):
+    """Angular velocity [rad/s] in the frame of the scene of a clump with a unit quaternion q: R (R^T L / I)."""
+    rotation = scaled_rotation(q)
+    return rotation @ ((rotation.transpose() @ momentum) / inertia)
+
+
+def build_clump_sums(state: State) -> Any:
+    """Device function (i) -> (force [N], torque [N m] about the center of mass) of all contacts of the clump of i.
+
+    Reads:  force, torque, clump, clump_size, clump_offset, orientation, index_of_id
+    """
+    particles, real = state.particles, state.backend.position_real
+
+    @ti.func
+    def clump_sums(i):
+        force_sum, torque_sum = ti.Vector.zero(real, 3), ti.Vector.zero(real, 3)
+        rotation = scaled_rotation(particles.orientation[i])
+        for member in range(particles.clump_size[i]):
+            j = particles.index_of_id[particles.clump[i] + member]
+            force = ti.cast(particles.force[j], real)
+            arm = rotation @ particles.clump_offset[j]
+            force_sum += force
+            torque_sum += ti.cast(particles.torque[j], real) + arm.cross(force)
+        return force_sum, torque_sum
+
+    return clump_sums
+
+
+def build_move_clump(state: State) -> Any:
+    """Device function (i, pose, time_step) -> displacement [m] of sphere i: kick and drift of its copy of the clump.
+
+    The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump at the
+    half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
+
+    Reads:   as `build_clump_sums`; clump_mass, clump_inertia
+    Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
+             velocity_synchronized, angular_velocity, boundary_work
+    """
+    particles, features, real = state.particles, state.plan.features, state.backend.real
+    exact, gravity, clump_sums = state.backend.position_real, state.parameter("gravity"), build_clump_sums(state)
+    set_position = _build_set_position(state)
+
+    @ti.func
+    def move_clump(chunk, i, pose, dt):
+        force, torque = clump_sums(i)
+        step, offset, q = ti.cast(dt, exact), particles.clump_offset[i], particles.orientation[i]
+        inertia = ti.cast(particles.clump_inertia[i], exact)
+        kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
+        velocity, momentum = particles.clump_velocity[i] + kick, particles.clump_angular_momentum[i] + step * torque
+        q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
+        q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
+        arm = scaled_rotation(q_new) @ offset
+        displacement = step * velocity + (arm - scaled_rotation(q) @ offset)
+        particles.clump_velocity[i], particles.clump_angular_momentum[i] = velocity, momentum
+        particles.orientation[i] = q_new
+        particles.velocity[i] = ti.cast(displacement / step, real)
+        particles.angular_velocity[i] = ti.cast(angular_velocity_of(q_half, momentum, inertia), real)
+        if ti.static(features.rate_dependent):
+            spin = angular_velocity_of(q_new, momentum + 0.5 * step * torque, inertia)
+            particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
+        set_position(chunk, i, step * velocity, arm, displacement, pose, dt)
+        return displacement
+
+    return move_clump
+
+
+def _build_set_position(state: State) -> Any:
+    """Device function: move the center of mass, and place the sphere at an arm from it.
+
+    Arguments: chunk, i, displacement of the center of mass [m], arm [m], displacement of the sphere [m], pose,
+    time_step. In a periodic box the sphere is placed at the image nearest to its displaced position.
+
+    Reads:   position, clump_position
+    Writes:  position, clump_position, boundary_work
+    """
+    particles, features = state.particles, state.plan.features
+    periodic = features.periodic != "none"
+    wrap_position, minimum_image = build_wrap_position(state), build_minimum_image(state)
+    add_energy_gain = build_add_energy_gain(state)
+
+    @ti.func
+    def set_position(chunk, i, step, arm, displacement, pose, dt):
+        center = particles.clump_position[i] + step
+        if ti.static(periodic):
+            expected = particles.position[i] + displacement
+            particles.position[i] = expected - minimum_image(expected, center + arm, pose)
+            wrapped = wrap_position(center)
+            if ti.static(features.energy_budget):
+                add_energy_gain(chunk, i, wrapped - center, 0.0 * particles.velocity[i], dt)
+            center = wrapped
+        else:
+            particles.position[i] = center + arm
+        particles.clump_position[i] = center
+
+    return set_position
+
+
+def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> Any:
+    """Device function (chunk, count, pose, time_step): kick and drift the spheres of clumps of one chunk.
+
+    request, square_of_sums:  see `engine.integrate`
+
+    Reads, writes:  as `build_move_clump`, and as `engine.integrate.build_integrate`
+    """
+    particles, periodic = state.particles, state.plan.features.periodic != "none"
+    chunk_size, step_limit = state.parameter("chunk_size"), state.parameter("travel_limit_squared")
+    move_clump, wrap = build_move_clump(state), build_wrap(state) if periodic else None
+    per_unit = state.parameter("per_unit")
+
+    @ti.func
+    def integrate_clumps(chunk, count, pose, dt):
+        size, step_squared_limit, units = chunk_size(), step_limit(), per_unit()
+        for i in range(chunk * size, ti.min((chunk + 1) * size, count)):
+            if particles.clump[i] >= 0:
+                step = move_clump(chunk, i, pose, dt).norm_sqr()
+                displacement = (particles.position[i] - particles.position_at_rebuild[i]).norm_sqr()
+                reach = particles.reach[i] * particles.reach[i]
+                sums = square_of_sums(particles.force[i], particles.torque[i], units)
+                request(i, displacement, reach, step, step_squared_limit, sums)
+                if ti.static(periodic):
+                    wrap(chunk, i, pose, dt)
+
+    return integrate_clumps
+
+
+def build_kick_clump(state: State) -> Any:
+    """Device function (i, time [s]): change the copy of the state of a clump by the present forces.
+
+    Reads:   as `build_clump_sums`; clump_mass
+    Writes:  clump_velocity, clump_angular_momentum
+    """
+    particles, exact, gravity = state.particles, state.backend.position_real, state.parameter("gravity")
+    clump_sums = build_clump_sums(state)
+
+    @ti.func
+    def kick_clump(i, time):
+        force, torque = clump_sums(i)
+        kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
+        particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
+        particles.clump_angular_momentum[i] = particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
+
+    return kick_clump
+
+
+def index_phase(state: State) -> Phase:
+    """Phase of a rebuild that writes the index of each id, by which a sphere finds the others of its clump.
+
+    Reads:   id, clump_position
+    Writes:  index_of_id, clump_position_at_rebuild
+    """
+    particles, (most_parts, _) = state.particles, granularity(state)
+
+    @ti.func
+    def part_count(rebuild):
+        return ti.min(rebuild.count, most_parts)
+
+    @ti.func
+    def write(part, rebuild):
+        begin, end = part_range(part, part_count(rebuild), rebuild.count)
+        for i in range(begin, end):
+            particles.index_of_id[particles.id[i]] = i
+            particles.clump_position_at_rebuild[i] = particles.clump_position[i]
+
+    return Phase(part_count, write, state.cell_sort.order.shape[0])

@@ -1,0 +1,169 @@
+"""Clumps in the engine: one sphere, threads, code path of a GPU, precision, periodic box, outlets, energy budget."""
+
+import numpy as np
+import pytest
+from clumps import ROD, about, clump_group
+from engine.test_bit_identity import MORE_THAN_POOL, digest_of
+from scene_builders import box, build_scene, particle_group, plane, run_and_sample, run_to_end
+from subprocess_runner import in_subprocess
+
+from granflow.engine import backend
+from granflow.engine.threads import workers
+from granflow.errors import GranflowError
+from granflow.geometry.quaternion import matrices
+from granflow.simulation import Simulation
+
+FRICTION = {"friction": 0.4, "restitution": 0.4}
+TRIANGLE = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.8e-3, 1.8e-3, 0.0]]
+
+
+def falling_clumps(duration=0.03, **changes):
+    """32 clumps of two kinds, 9 spheres and rain of clumps in a box: friction, rebuilds, several chunks."""
+    rng = np.random.default_rng(8)
+    sites = 0.012 * (np.argwhere(np.ones((4, 4, 2))) + 0.5) + [0.003, 0.003, 0.002]
+    velocity = rng.normal([0.0, 0.0, -0.8], 0.3, (16, 3))
+    rods = clump_group(sites[:16], velocity=velocity, angular_velocity=rng.normal(0, 50, (16, 3)))
+    others = clump_group(sites[16:], TRIANGLE, [2e-3, 1.5e-3, 1.8e-3], "random", "steel", velocity=velocity)
+    balls = particle_group(0.012 * np.argwhere(np.ones((3, 3, 1))) + [0.01, 0.01, 0.035], 0.005)
+    region = {"box": {"min": [0.002, 0.002, 0.042], "max": [0.052, 0.052, 0.054]}}
+    rain = {
+        "material": "steel", "count": 12, "clump": others["clump"], "velocity": [0.0, 0.0, -0.5],
+        "insert": {"kind": "rain", "region": region, "rate": 1500.0},
+    }  # fmt: skip
+    parts = {
+        "pair": FRICTION, "gravity": [0.0, 0.0, -100.0], "numerics": {"chunk_size": 16, "max_overlap": 0.2},
+        "run": {"duration": duration, "velocity_max": 4.0, "time_step": 4e-6},
+        "output": {"interval": 0.004, "energy_budget": True, "checkpoint": {"interval": 0.002, "keep": 100}},
+    }  # fmt: skip
+    return build_scene({"rods": rods, "others": others, "balls": balls, "rain": rain}, box(0.055), **(parts | changes))
+
+
+def fingerprint(threads, precision="f64", as_on_gpu=False, changes=None):
+    """Digest of the final state, and numbers of contacts and rebuilds."""
+    workers.SINGLE_WORKER_PARTICLES = 0
+    if threads == MORE_THAN_POOL:
+        backend.worker_count = lambda requested: (requested, "")
+    if as_on_gpu:
+        backend.Backend.on_cpu = property(lambda self: False)
+    last, simulation = run_to_end(falling_clumps(**changes or {}), threads=threads, precision=precision)
+    more = [last.particles[name] for name in ("orientation", "clump_position", "clump_angular_momentum")]
+    totals = {name: last.totals[name] for name in ("rotational_energy", "energy_error", "contact_count")}
+    return [digest_of(last, *more), totals, simulation.engine.timing.rebuild_count]
+
+
+@pytest.mark.parametrize("precision", ["f64", "mixed"])
+def test_results_are_bit_identical_for_any_thread_count(precision):
+    one, *others = (in_subprocess(fingerprint, n, precision, seconds=600) for n in (1, 2, MORE_THAN_POOL))
+    assert one[2] > 2 and one[1]["contact_count"] > 20
+    assert others == [one] * 2
+
+
+def test_code_path_of_a_gpu_has_the_bits_of_the_cpu():
+    changes = {"numerics": {"chunk_size": 1, "max_overlap": 0.2}, "duration": 0.02}
+    cpu, gpu = (in_subprocess(fingerprint, 2, "f64", on_gpu, changes, seconds=600) for on_gpu in (False, True))
+    assert cpu[2] > 2
+    assert gpu == cpu
+
+
+def test_a_clump_of_one_sphere_moves_like_a_sphere(taichi_f64):
+    """Contacts, friction and mass are equal; only the rounding of the integration differs."""
+    motion = {"velocity": [0.4, 0.1, -0.5], "angular_velocity": [20.0, -30.0, 10.0]}
+    floor, found = {"floor": plane([0, 0, 0], [0, 0, 1])}, []
+    sphere, clump = particle_group([[0, 0, 0.006]], 0.01), clump_group([[0, 0, 0.006]], [[0, 0, 0]], 5e-3)
+    for group in (sphere | motion, clump | motion):
+        scene = build_scene(
+            {"ball": group}, floor, {"friction": 0.3, "restitution": 0.7}, gravity=[0.0, 0.0, -9.81],
+            run={"duration": 0.05, "velocity_max": 1.5, "time_step": 5e-6},
+            output={"interval": 1.0, "energy_budget": True},
+        )  # fmt: skip
+        last, _ = run_to_end(scene, threads=1)
+        found.append(last)
+    sphere, clump = found
+    assert abs(sphere.particles["angular_velocity"] - motion["angular_velocity"]).max() > 10.0  # friction has acted
+    for name in ("position", "velocity", "angular_velocity", "mass"):
+        assert clump.particles[name] == pytest.approx(sphere.particles[name], rel=1e-9, abs=1e-12), name
+    for name in ("kinetic_energy", "rotational_energy", "friction_dissipation", "gravitational_energy"):
+        assert clump.totals[name] == pytest.approx(sphere.totals[name], rel=1e-9), name
+
+
+def test_spheres_of_a_clump_remain_in_place_and_do_not_collide(taichi_f64):
+    """Distances within each clump are those of the given positions, although its spheres overlap by half."""
+    last, _ = run_to_end(falling_clumps(), threads=1)
+    particles = last.particles
+    expected = np.linalg.norm(np.diff(ROD, axis=0), axis=1)
+    rods = [np.flatnonzero(particles["clump"] == clump) for clump in np.unique(particles["clump"])[1:17]]
+    for rows in rods:
+        assert particles["id"][rows].tolist() == list(range(rows[0], rows[0] + len(ROD)))
+        position = particles["position"][rows]
+        assert np.linalg.norm(np.diff(position, axis=0), axis=1) == pytest.approx(expected, rel=1e-12)
+        rotation = matrices(particles["orientation"][rows[:1]])[0]
+        arms = particles["clump_offset"][rows] @ rotation.T
+        assert position == pytest.approx(particles["clump_position"][rows] + arms, abs=1e-15)
+    assert np.ptp(particles["orientation"][rows], axis=0).max() == 0.0, "all spheres have the same copy"
+    assert last.totals["overlap_largest"] < 0.2
+    assert (particles["clump"] < 0).sum() == 9
+
+
+def test_energy_budget_of_clumps_closes(taichi_f64):
+    """Energies are those of the clumps: their sum with all losses is constant."""
+    snapshots = run_and_sample(falling_clumps(duration=0.04), 0.004, threads=1)
+    last = snapshots[-1].totals
+    assert last["friction_dissipation"] > 0.0 and last["plastic_dissipation"] > 0.0
+    assert last["inserted_count"] == 16 * 4 + 16 * 3 + 9 + 12 * 3
+    assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
+
+
+def test_clumps_cross_a_periodic_face_as_one_body(taichi_f64):
+    """Rods fall through a periodic box: the gain of potential energy at the face is boundary work."""
+    positions = 0.012 * (np.argwhere(np.ones((2, 2, 2))) + 0.5)
+    rng = np.random.default_rng(1)
+    rods = clump_group(
+        positions, orientation="random", velocity=rng.normal(0.0, 0.5, positions.shape),
+        angular_velocity=rng.normal(0.0, 100.0, positions.shape),
+    )  # fmt: skip
+    scene = build_scene(
+        {"rods": rods}, pair={"friction": 0.3, "restitution": 0.9}, gravity=[0.0, 0.0, -9.81],
+        domain={"min": [0.0] * 3, "max": [0.024] * 3, "periodic": ["x", "y", "z"], "on_exit": "error"},
+        run={"duration": 0.06, "velocity_max": 2.0, "time_step": 4e-6}, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.006, threads=1)
+    last = snapshots[-1]
+    assert abs(last.totals["boundary_work"]) > 1e-6 and last.totals["friction_dissipation"] > 0.0
+    assert max(abs(each.totals["energy_error"]) for each in snapshots) < 1e-3
+    particles = last.particles
+    arms = np.einsum("nij,nj->ni", matrices(particles["orientation"]), particles["clump_offset"])
+    apart = particles["position"] - particles["clump_position"] - arms
+    assert apart / 0.024 == pytest.approx(np.round(apart / 0.024), abs=1e-12)
+    assert (np.abs(np.round(apart / 0.024)).max(axis=1) > 0).any(), "some rods lie across a face"
+
+
+def test_outlets_delete_whole_clumps(taichi_f64):
+    """A clump is deleted when its center of mass is in the outlet, with all its spheres and its mass.
+
+    The energy of deleted particles is that half a step earlier: g dt / v of the kinetic energy is missing.
+    """
+    rods = clump_group([[0.0, 0.0, 0.02], [0.02, 0.0, 0.05]], orientation=about([0, 1, 0], 90))
+    scene = build_scene(
+        {"rods": rods}, gravity=[0.0, 0.0, -9.81], outlets={"out": {"box": {"min": [-1, -1, -1], "max": [1, 1, 0]}}},
+        run={"duration": 0.08, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.002, threads=1)
+    counts = [each.totals["particle_count"] for each in snapshots]
+    assert sorted(set(counts), reverse=True) == [8.0, 4.0]
+    last, kept = snapshots[-1], snapshots[0].particles["mass"]
+    assert last.totals["outlet_mass.out"] == pytest.approx(kept[:4].sum())
+    assert last.particles["id"].tolist() == [4, 5, 6, 7]
+    step, speed = snapshots[1].time / snapshots[1].step, np.sqrt(2 * 9.81 * 0.02)
+    assert abs(last.totals["energy_error"]) < 9.81 * step / speed
+
+
+def test_changes_from_python_are_refused(taichi_f64):
+    simulation = Simulation(build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}), threads=1)
+    message = "Changes of particles and forces from Python are not possible in a scene with clumps"
+    with pytest.raises(GranflowError, match=message):
+        simulation.particles.velocity[:] = [0.0, 0.0, 1.0]
+    with pytest.raises(GranflowError, match=message):
+        simulation.particles.remove(np.array([True, False, False, False]))
+    with pytest.raises(GranflowError, match="Particles from Python are not possible in a scene with clumps"):
+        simulation.restart(None)
+    simulation.free()

@@ -1,0 +1,124 @@
+"""Groups of clumps: counts and masses, orientations, messages about invalid combinations, `explain`."""
+
+import numpy as np
+import pytest
+from clumps import ROD, about, clump_group
+from scene_builders import SOFT, build_scene, plane
+
+from granflow.errors import GranflowError, SceneError
+from granflow.geometry.clump_shape import clump_shape
+from granflow.geometry.quaternion import matrices
+from granflow.load import Scene
+from granflow.particles.generate import initial_particles
+from granflow.plan.build import plan_for
+from granflow.plan.explain import explain
+from granflow.runs.ranks import refuse_on_ranks
+
+REGION = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}
+
+
+def problems(group=None, **parts):
+    """The messages about a scene with one group of rods."""
+    rods = clump_group([[0.0, 0.0, 0.0]]) | (group or {})
+    rods = {key: value for key, value in rods.items() if value is not None}
+    scene = build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}, {"floor": plane([0, 0, -0.5], [0, 0, 1])}).to_dict()
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict(scene | {"particles": {"rods": rods}} | parts)
+    return list(caught.value.problems)
+
+
+GROUPS = {
+    "diameter": (
+        {"diameter": 0.004},
+        "particles.rods.diameter is 0.004, but the spheres of the clump define the sizes",
+    ),
+    "fixed": ({"fixed": True}, "particles.rods.fixed is true, but clumps cannot be fixed"),
+    "python": ({"insert": {"kind": "python"}}, "particles.rods.insert.kind is python, but clumps are not inserted"),
+    "orientations": (
+        {"clump": {"spheres": clump_group([0, 0, 0])["clump"]["spheres"], "orientation": [about([0, 0, 1], 10)] * 2}},
+        "particles.rods.clump.orientation is a list of length 2, but insert.positions has length 1",
+    ),
+    "a word": (
+        {"clump": {"spheres": clump_group([0, 0, 0])["clump"]["spheres"], "orientation": "upright"}},
+        "particles.rods.clump.orientation is upright, but it must be random, {axis: [..], angle: ..}, or a list",
+    ),
+    "no sphere": ({"clump": {"spheres": []}}, "at least one item is required, such as [{position: [0, 0, 0]"),
+    "many spheres": (
+        {"clump": {"spheres": [{"position": [0.001 * k, 0, 0], "radius": 0.002} for k in range(101)]}},
+        "particles.rods.clump.spheres has 101 spheres, but the limit is 100",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+def test_invalid_group_of_clumps_has_one_message(name):
+    change, sentence = GROUPS[name]
+    found = problems(change)
+    assert len(found) == 1 and sentence in found[0]
+
+
+PARTS = {
+    "damping": ({"damping": {"cundall": 0.5}}, "damping cannot be combined with the clumps of particles.rods"),
+    "adaptive": ({"run": {"duration": 1.0, "time_step": "adaptive"}}, "run.time_step cannot be combined with"),
+    "start_from": ({"start_from": "out/earlier"}, "start_from cannot be combined with the clumps"),
+    "sheared": (
+        {
+            "walls": {},
+            "domain": {
+                "min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error", "periodic": ["x", "y", "z"],
+                "lees_edwards": {"flow": "x", "gradient": "z", "rate": 1.0},
+            },
+        },
+        "domain.lees_edwards cannot be combined with the clumps",
+    ),
+    "fields": (
+        {"output": {"interval": 1.0, "fields": {"grid": {"cells": [2, 2, 2], "width": 0.02, "interval": 0.1}}}},
+        "output.fields cannot be combined with the clumps",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_part_that_does_not_support_clumps_is_refused(name):
+    change, sentence = PARTS[name]
+    assert [sentence in each for each in problems(**change)] == [True]
+
+
+def test_ranks_are_refused():
+    with pytest.raises(GranflowError, match="Clumps do not work on MPI ranks"):
+        refuse_on_ranks(has_clumps=True)
+
+
+def test_mass_of_a_group_gives_the_number_of_clumps():
+    """The mass of a clump is density times the volume of the union of its spheres."""
+    mass = SOFT["density"] * clump_shape(tuple(map(tuple, ROD)), (0.002,) * len(ROD)).volume
+    packed = clump_group([[0, 0, 0]]) | {
+        "count": None,
+        "mass": 37.2 * mass,
+        "insert": {"kind": "pack", "region": REGION},
+    }
+    scene = build_scene({"rods": {key: value for key, value in packed.items() if value is not None}})
+    assert scene.particles["rods"].count == 37
+    plan = plan_for(scene)
+    assert plan.particle_capacity == 37 * len(ROD)
+    assert "rods 37 clumps of 4 spheres" in " ".join(explain(plan).split())
+
+
+def test_random_orientations_are_uniform_and_follow_the_seed():
+    """The mean of the axis of many rods is 0 and that of its products 1/3, within four standard deviations."""
+    group = clump_group(0.02 * np.argwhere(np.ones((20, 20, 5))), orientation="random")
+    found = [initial_particles(build_scene({"rods": group}, seed=seed)) for seed in (1, 1, 2)]
+    assert np.array_equal(found[0].orientation, found[1].orientation)
+    assert not np.array_equal(found[0].orientation, found[2].orientation)
+    axis = matrices(found[0].orientation)[:, :, 0]
+    assert np.abs(axis.mean(axis=0)).max() < 4.0 / np.sqrt(3.0 * len(axis))
+    assert np.abs(axis.T @ axis / len(axis) - np.eye(3) / 3.0).max() < 4.0 * np.sqrt(4.0 / 45.0 / len(axis))
+
+
+def test_packed_clumps_do_not_overlap():
+    """The spheres around the clumps are apart, so that clumps are in any orientation."""
+    group = clump_group([[0, 0, 0]]) | {"count": 60, "insert": {"kind": "pack", "region": REGION}}
+    found = initial_particles(build_scene({"rods": group}))
+    assert found.radius == pytest.approx(np.full(60, 5e-3))
+    apart = np.linalg.norm(found.position[:, None] - found.position, axis=2)
+    assert apart[~np.eye(60, dtype=bool)].min() > 1e-2
