@@ -110,15 +110,15 @@ def test_edges_of_a_cube_are_its_twelve_sides():
 
 
 @pytest.mark.parametrize("corners", [3, 4])
-def test_disc_without_a_hole_has_no_spokes(corners):
-    """Facets between the rim and a hole of radius 0: halves of them, or two of their corners, are at the center."""
+def test_disc_without_a_hole_has_no_radial_edges(corners):
+    """Facets between the circle and a hole of radius 0: halves of them, or two of their corners, are at the center."""
     angle = 2.0 * np.pi * np.arange(16) / 16
-    rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
     here, following = np.arange(16), (np.arange(16) + 1) % 16
     facets = np.column_stack([here + 16, here, following, following + 16])
     if corners == 3:
         facets = np.concatenate([facets[:, [0, 1, 2]], facets[:, [0, 2, 3]]])
-    found = geometry_of(FrameWalls(np.concatenate([rim, np.zeros((16, 3))]), (facets,), (np.zeros(len(facets)),)))
+    found = geometry_of(FrameWalls(np.concatenate([circle, np.zeros((16, 3))]), (facets,), (np.zeros(len(facets)),)))
     assert len(found.points) == 17 and len(found.edges) == 16
     lengths = np.linalg.norm(np.diff(found.points[found.edges], axis=1), axis=2)
     np.testing.assert_allclose(lengths, 2.0 * np.sin(np.pi / 16), rtol=1e-6)

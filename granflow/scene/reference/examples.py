@@ -56,6 +56,8 @@ PART_EXAMPLES = {
     "RestitutionFit.limit_velocity": "100 m/s",
     "Damping.drag": "5 1/s",
     "Group.mass": "20 g",
+    "Group.clump": "{spheres: [{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]}",
+    "Clump.spheres": "[{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]",
     "Group.radius": "2 mm",
     "Group.velocity": "[0, 0, -0.5 m/s]",
     "Group.angular_velocity": "[0, 6, 0]",
