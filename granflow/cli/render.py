@@ -4,15 +4,21 @@ The frames of the run are read; nothing is simulated. Requires the extra `plot`.
 """
 
 import argparse
+import time
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_verb
-from granflow.cli.messages import print_error, say
+from granflow.cli.messages import exit_code_of, print_error, say
+from granflow.cli.signals import deferred_to_event
 from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from granflow.studies.render.frames import Frame
     from granflow.studies.render.render import PictureStyle
 
@@ -21,6 +27,12 @@ FITS = ("all", "particles", "domain")
 
 SMALLEST = 200
 """Smallest width and height of an image [pixels]."""
+
+PROGRESS_INTERVAL, FIRST_REPORT = 5.0, 3
+"""Shortest time [s] between two reports of the progress of an animation, and the frame after the first of them."""
+
+STOPPING = "granflow: stopping: the frame in progress is completed; a second signal ends the command at once."
+"""Message if an animation needs longer to stop."""
 
 
 def render(options: argparse.Namespace) -> int:
@@ -59,10 +71,40 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
         return print_error(f"An animation requires {missing}, which is not installed: pip install granflow[plot]")
     path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(path, pictures(options.directory, frames, style, options.fps), options.fps)
+    with deferred_to_event(STOPPING) as (stop, signals):
+        drawn = with_progress(pictures(options.directory, frames, style, options.fps), len(frames), stop)
+        try:
+            write_film(path, drawn, options.fps)
+        except (Stopped, OSError) as error:  # Ctrl-C in a terminal also ends ffmpeg
+            if not signals:
+                raise
+            reason = str(error) if isinstance(error, Stopped) else "stopped"
+            return print_error(f"{reason}; no animation is written.", exit_code_of(signals[0]))
     speed = speed_of([frame.time for frame in frames], options.fps)
     say(f"{path}: {len(frames)} frames, {len(frames) / options.fps:.3g} s{', ' + speed if speed else ''}")
     return 0
+
+
+class Stopped(Exception):
+    """A stop signal ended an animation."""
+
+
+def with_progress(pictures: "Iterator[np.ndarray]", count: int, stop: Event) -> "Iterator[np.ndarray]":
+    """Yield the pictures, and print their number and the remaining time at most every PROGRESS_INTERVAL.
+
+    `count`: of all pictures. Raises Stopped if `stop` is set.
+    """
+    began = told = time.monotonic()
+    for number, picture in enumerate(pictures, 1):
+        if stop.is_set():
+            raise Stopped(f"stopped after {number - 1} of {count} frames")
+        yield picture
+        now = time.monotonic()
+        if number == 1:
+            began = now  # the first picture includes imports and the scan of all frames
+        elif number == FIRST_REPORT or (number > FIRST_REPORT and now - told > PROGRESS_INTERVAL):
+            told, remaining = now, (now - began) / (number - 1) * (count - number)
+            say(f"{number} of {count} frames, about {remaining:.0f} s remaining", flush=True)
 
 
 def pixel_size(text: str) -> tuple[int, int]:

@@ -28,17 +28,22 @@ DEFERRED = (
 """Message if the run needs longer than GRACE to stop."""
 
 AT_ONCE = "granflow: ended at once, without a checkpoint of the current time."
-"""Message if the process ends without a checkpoint."""
+"""Message if a run ends without a checkpoint."""
+
+ENDED = "granflow: ended at once."
+"""Message if a verb ends that is not in a run."""
 
 
 class StopSignals:
     """Handles stop signals while a verb runs.
 
     `request`: function (exception) that requests that a run stops; without it the handler raises the exception.
+    `message`: what is still completed, for the case that the stop takes longer than GRACE.
     """
 
     def __init__(self) -> None:
-        self.request: Callable[[BaseException], None] | None = None
+        self.request: Callable[[KeyboardInterrupt], None] | None = None
+        self.message = DEFERRED
         self._stop: KeyboardInterrupt | None = None
         self._timer: threading.Timer | None = None
         self._before: dict[int, Any] = {}
@@ -96,7 +101,8 @@ class StopSignals:
 
     def _overdue(self, number: int, deferred: bool) -> None:
         """Runs in a separate thread, GRACE after a signal, if the main thread has not yet ended the verb."""
-        say(DEFERRED if deferred else AT_ONCE, file=sys.stderr, flush=True)
+        at_once = ENDED if self.request is None or self.message != DEFERRED else AT_ONCE
+        say(self.message if deferred else at_once, file=sys.stderr, flush=True)
         if not deferred:
             os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)
 
@@ -139,28 +145,28 @@ def ignore_stops() -> None:
 
 
 @contextmanager
-def deferred_to_event() -> Iterator[tuple[threading.Event, list[BaseException]]]:
+def deferred_to_event(message: str = DEFERRED) -> Iterator[tuple[threading.Event, list[KeyboardInterrupt]]]:
     """In the block, a stop signal sets the event and appends its exception to the list; see `deferred_to`."""
-    stop, signals = threading.Event(), list[BaseException]()
+    stop, signals = threading.Event(), list[KeyboardInterrupt]()
 
-    def request(error: BaseException) -> None:
+    def request(error: KeyboardInterrupt) -> None:
         signals.append(error)
         stop.set()
 
-    with deferred_to(request):
+    with deferred_to(request, message):
         yield stop, signals
 
 
 @contextmanager
-def deferred_to(request: Callable[[BaseException], None]) -> Iterator[None]:
+def deferred_to(request: Callable[[KeyboardInterrupt], None], message: str = DEFERRED) -> Iterator[None]:
     """In the block, the first stop signal calls `request` with the exception to raise later; the second one raises.
 
-    Without `stop_signals` around it, the block has no effect.
+    `message`: printed if the stop takes longer than GRACE. Without `stop_signals` around it, the block has no effect.
     """
     if _current is not None:
-        _current.request = request
+        _current.request, _current.message = request, message
     try:
         yield
     finally:
         if _current is not None:
-            _current.request = None
+            _current.request, _current.message = None, DEFERRED

@@ -28,7 +28,7 @@ def sweep(options: argparse.Namespace) -> int:
     out = options.out or Path("out") / study.name
     with deferred_to_event() as (stop, signals):
         table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run)
-    if signals and isinstance(signals[0], KeyboardInterrupt):
+    if signals:
         remedy = "repeating the command continues it"
         return print_error(
             f"stopped; {out / 'sweep.csv'} has the completed runs, and {remedy}.", exit_code_of(signals[0])
@@ -44,7 +44,7 @@ def sweep(options: argparse.Namespace) -> int:
 
 
 def say_run(progress: "Progress", event: str) -> None:
-    """Print the progress, and the name and status of a run that has ended."""
+    """Print the progress, and the parameter values and status of a run that has ended."""
     say(f"{progress}{event and '; '}{event}", flush=True)
 
 

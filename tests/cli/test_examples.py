@@ -1,5 +1,7 @@
 """`granflow examples` and `granflow example`, in a clone and from a built wheel."""
 
+import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from granflow.cli.main import main
+from granflow.scene.jsonschema import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes"
@@ -18,6 +21,13 @@ def test_every_shipped_scene_is_listed_with_its_title(capsys):
     names = [path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.yaml")]
     assert [line.split()[0] for line in lines] == sorted(names)
     assert any(line.split() == ["hopper", "Conical", "hopper"] for line in lines)
+
+
+def test_shipped_scenes_and_the_reference_name_no_file_of_a_clone():
+    """`granflow example` and `granflow schema` work without a clone: pages of the documentation are named by title."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in SCENES.rglob("*.yaml")}
+    texts["schema"] = json.dumps(json_schema())
+    assert [name for name, text in texts.items() if re.search(r"\b(tools|docs)/", text)] == []
 
 
 def test_scene_is_copied_with_its_mesh(tmp_path, capsys):

@@ -47,13 +47,24 @@ def run(command, folder):
     return subprocess.run([*program, *rest], cwd=folder, capture_output=True, text=True, timeout=1200)
 
 
+def test_code_in_tutorials_is_not_wider_than_the_page():
+    """The column of text at 1400 px shows 95 characters."""
+    lines = [
+        (path.name, line)
+        for path in sorted((PAGES / "tutorials").glob("*.md"))
+        for _, text in blocks(path.relative_to(PAGES))
+        for line in text.splitlines()
+    ]
+    assert len(lines) > 100 and [each for each in lines if len(each[1]) > 95] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("tutorial", TUTORIALS)
 def test_tutorial_works_as_written(tutorial, tmp_path):
     executed = 0
     for language, text in blocks(f"tutorials/{tutorial}.md"):
         is_file = save(text, tmp_path)
-        commands = text.splitlines() if language == "sh" else []
+        commands = text.replace("\\\n", "").splitlines() if language == "sh" else []
         if language == "python" and not is_file:
             (tmp_path / "snippet.py").write_text(text)
             commands = ["python snippet.py"]

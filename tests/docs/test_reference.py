@@ -3,17 +3,20 @@
 import importlib
 import re
 from pathlib import Path
+from typing import Annotated
 
 import jsonschema
 import pytest
+from pydantic import BaseModel, TypeAdapter
 from ruamel.yaml import YAML
 
 import granflow
 from granflow import fields
 from granflow.cli.main import build_parser
 from granflow.scene.reference import schema_keys
-from granflow.scene.reference.examples import example_of
+from granflow.scene.reference.examples import PART_EXAMPLES, example_of
 from granflow.scene.reference.value_types import type_text
+from granflow.scene.schema.scene import SceneInput
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -59,6 +62,41 @@ def test_examples_of_keys_are_valid(keys):
         example = example_of(key)
         value = YAML(typ="safe").load(example)[key.name]
         jsonschema.Draft202012Validator(definitions | key.schema).validate(value)
+
+
+def test_examples_of_keys_are_values_of_their_fields(keys):
+    """Beyond the schema: the checks of each field, such as ranges in SI units, and names of quantities."""
+    models = {model.__name__: model for model in _subclasses(BaseModel)} | {"scene": SceneInput}
+    by_part = {}
+    for key in keys:
+        field = models[key.part].model_fields
+        found = field.get(key.name) or next(each for each in field.values() if each.alias == key.name)
+        value = YAML(typ="safe").load(example_of(key))[key.name]
+        by_part.setdefault(key.part, {})[key.name] = TypeAdapter(
+            Annotated[(found.annotation, *found.metadata)] if found.metadata else found.annotation
+        ).validate_python(value)
+        if key.name == "quantity":
+            names = (*fields.TOTAL_QUANTITIES, *fields.FLOW_METER_QUANTITIES, *fields.WALL_FORCE_QUANTITIES)
+            assert value.partition(".")[0] in names
+    for sizes in ("UniformSizes", "NormalSizes", "LogNormalSizes"):
+        assert by_part[sizes]["min"] < by_part[sizes].get("median", by_part[sizes].get("mean", 1.0))
+        assert by_part[sizes]["min"] < by_part[sizes]["max"] <= 0.01
+    assert by_part["MaterialPair"]["hamaker_constant"] < 1e-18
+    assert by_part["MaterialPair"]["separation"] < 1e-9
+    for name, value in by_part["TableMotion"].items():
+        assert name not in ("displacements", "velocities", "angles") or len(value) == len(
+            by_part["TableMotion"]["times"]
+        )
+
+
+def _subclasses(model):
+    for each in model.__subclasses__():
+        yield each
+        yield from _subclasses(each)
+
+
+def test_no_example_is_left_over(keys):
+    assert {f"{key.part}.{key.name}" for key in keys} >= set(PART_EXAMPLES)
 
 
 def test_units_of_types_agree_with_descriptions(keys):

@@ -170,11 +170,16 @@ def test_rough_level_surface_is_not_a_slope(columns, share):
         found.append(slope_of_plane(points, np.full(columns, 0.5), 0.5))
     accepted = sum(not np.isnan(slope.angle) for slope in found)
     assert accepted <= 1000 * share + 4.0 * np.sqrt(1000 * share)
-    assert sum("rough level surfaces reach as much by chance" in slope.reason for slope in found) == 1000 - accepted
+    reasons = [slope.reason for slope in found if slope.reason]
+    assert len(reasons) == 1000 - accepted
+    assert sum("rough level surfaces reach as much by chance" in reason for reason in reasons) > 0.9 * 1000
 
 
-@pytest.mark.parametrize(("added", "limit"), [(0, 0.0025), (3, 0.2)])
-def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, limit):
+@pytest.mark.parametrize(
+    ("added", "limit", "reason"),
+    [(0, 0.0025, "reach as much by chance"), (3, 0.2, "standard error of 25% of it, above 25%")],
+)
+def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, limit, reason):
     """Limits of 1 - R^2 for heights x / 2 and scatter, at the corners of a square and up to three points between.
 
     Four points have the chance sqrt(1 - R^2) < 0.05. With seven, the error sqrt(S / 4 / 4) is 1/4 of 1/2 for the
@@ -187,7 +192,7 @@ def test_slope_needs_a_significant_gradient_with_a_small_relative_error(added, l
     for share, is_slope in ((0.98 * limit, True), (1.02 * limit, False)):
         height = 0.5 * x + scatter * np.sqrt(share / (1.0 - share))  # the square sum of x / 2 is 1
         slope = slope_of_plane(np.column_stack([x, y, height]), np.full(len(x), 0.5), 0.5)
-        assert bool(slope.reason) != is_slope
+        assert not slope.reason if is_slope else reason in slope.reason
         assert slope.angle == pytest.approx(np.arctan(0.5)) if is_slope else np.isnan(slope.angle)
 
 

@@ -306,8 +306,6 @@ def test_missing_value_of_a_trial_is_explained(tmp_path):
     reason = "output.metrics.left: the angle of repose is NaN: the surface has 3 points, but a fit needs at least 4."
     angle_run(tmp_path, dict.fromkeys(ANGLE), [reason, "output.metrics.right: another one"])
     sentence = _missing_reason("left", angle_target(tmp_path), tmp_path)
-    assert sentence == f"{tmp_path}: angle_of_repose.left is NaN (target left). {reason}"
+    assert sentence == f"{tmp_path}: target left: angle_of_repose.left is NaN. {reason}"
     angle_run(tmp_path, {})
-    assert "has no angle_of_repose.left, which the target left requires" in _missing_reason(
-        "left", angle_target(tmp_path), tmp_path
-    )
+    assert _missing_reason("left", angle_target(tmp_path), tmp_path).endswith("angle_of_repose.left is missing.")

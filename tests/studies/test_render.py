@@ -1,5 +1,7 @@
 """Pictures of a run: frame selection, colors, camera. Tests that draw with VTK are slow."""
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -340,3 +342,29 @@ def test_film_contains_every_frame(run):
     assert process.returncode == 0, process.stderr[-2000:]
     film = run / "pictures" / "film_velocity_iso.mp4"
     assert imageio_ffmpeg.count_frames_and_secs(str(film)) == (4, pytest.approx(1.0, abs=0.05))
+
+
+@pytest.mark.slow
+@needs_plot
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_film_leaves_no_file(run, number):
+    pytest.importorskip("imageio_ffmpeg")
+    listing = run / "particles.pvd"
+    lines = listing.read_text().splitlines()
+    (last,) = [line for line in lines if "particles_0003" in line]
+    more = [last.replace('"0.75"', f'"{0.75 + 0.01 * k}"') for k in range(1, 400)]
+    assert len(set(more)) == 399
+    listing.write_text("\n".join([*lines[:-2], *more, *lines[-2:]]))
+    command = [sys.executable, "-m", "granflow", "render", str(run), "--film", "--size", "640x480"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    first = process.stdout.readline()
+    assert first.startswith("3 of 403 frames, about ") and first.endswith(" s remaining\n")
+    process.send_signal(number)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert "granflow: stopped after " in message and " of 403 frames; no animation is written." in message
+    assert "checkpoint" not in message and not list((run / "pictures").iterdir())

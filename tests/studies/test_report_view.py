@@ -35,6 +35,12 @@ def write_run(directory, frame_count=3, particle_count=50):
     return read_run(directory)
 
 
+def write_walls(directory, points):
+    """Walls of the first frame: the faces of a cube with these corners."""
+    write_vtu(directory / "walls_0000.vtu", VtuMesh.of_cells("quad", points, FACES, {"wall": np.zeros(6, np.int32)}))
+    (directory / "walls.pvd").write_text((directory / "particles.pvd").read_text().replace("particles_", "walls_"))
+
+
 def array(data, reference, width=1):
     """An array of the view, as the script of the page reads it."""
     dtype = np.dtype(reference["type"].removesuffix("Array").lower())
@@ -103,6 +109,30 @@ def test_edges_of_a_cube_are_its_twelve_sides():
         np.testing.assert_array_equal(lengths, 1.0)
 
 
+@pytest.mark.parametrize("corners", [3, 4])
+def test_disc_without_a_hole_has_no_radial_edges(corners):
+    """Facets between the circle and a hole of radius 0: halves of them, or two of their corners, are at the center."""
+    angle = 2.0 * np.pi * np.arange(16) / 16
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(16)])
+    here, following = np.arange(16), (np.arange(16) + 1) % 16
+    facets = np.column_stack([here + 16, here, following, following + 16])
+    if corners == 3:
+        facets = np.concatenate([facets[:, [0, 1, 2]], facets[:, [0, 2, 3]]])
+    found = geometry_of(FrameWalls(np.concatenate([circle, np.zeros((16, 3))]), (facets,), (np.zeros(len(facets)),)))
+    assert len(found.points) == 17 and len(found.edges) == 16
+    lengths = np.linalg.norm(np.diff(found.points[found.edges], axis=1), axis=2)
+    np.testing.assert_allclose(lengths, 2.0 * np.sin(np.pi / 16), rtol=1e-6)
+
+
+def test_camera_shows_particles_and_walls(tmp_path):
+    record = write_run(tmp_path)
+    low, high = np.array(interactive_view(record).header["extent"])
+    write_walls(tmp_path, 3.0 * CUBE)
+    with_walls = np.array(interactive_view(record).header["extent"])
+    np.testing.assert_allclose(with_walls, [np.minimum(low, 0.0), np.maximum(high, 3.0)])
+    assert (low > -1.0).all() and (high < 3.0).all()
+
+
 def test_unused_points_and_separate_copies_of_points_are_merged():
     points = np.concatenate([CUBE[FACES].reshape(-1, 3), [[9.0, 9.0, 9.0]]])
     found = geometry_of(FrameWalls(points, (np.arange(24).reshape(6, 4),), (np.zeros(6, int),)))
@@ -133,9 +163,7 @@ def test_browser_draws_the_particles(tmp_path):
     from PIL import Image
 
     record = write_run(tmp_path)
-    write_vtu(tmp_path / "walls_0000.vtu", VtuMesh.of_cells("quad", CUBE, FACES, {"wall": np.zeros(6, np.int32)}))
-    listing = (tmp_path / "particles.pvd").read_text().replace("particles_", "walls_")
-    (tmp_path / "walls.pvd").write_text(listing)
+    write_walls(tmp_path, CUBE)
     page = tmp_path / "page.html"
     page.write_text(report_text(record, "", SimpleNamespace(shown=(), statement="")), encoding="utf-8")
     picture = tmp_path / "page.png"

@@ -193,7 +193,7 @@ def run(folder, name, kernels="k"):
 
 
 def drive(executor, runs, slots=1):
-    driver = Driver(executor, lambda: slots, Event(), lambda *_: None)
+    driver = Driver(executor, lambda: slots, Event(), lambda *_: None, {})
     outcomes = driver.run(runs)
     return {each.directory.name: outcomes[each.request.directory] for each in runs}
 
@@ -236,6 +236,23 @@ def test_ended_runs_are_not_repeated(tmp_path):
     assert names(executor) == ["refused"]
     assert found["done"] == Outcome(MISSED, "x is 1, but should be 2.", 2.5)
     assert found["aborted"] == final_outcome(aborted.directory) == Outcome(ABORTED, "overlap", 3.0)
+
+
+def test_table_states_why_a_quantity_is_nan(tmp_path):
+    done = run(tmp_path, "a")
+    warning = "output.metrics.left: the angle of repose is NaN: the surface has 3 points."
+    content = {
+        "expect": [], "run": {"wall_clock": 1.0}, "metrics": {"left": {"angle_of_repose": None}},
+        "warnings": [warning, "output.metrics.right: another one."],
+    }  # fmt: skip
+    (done.directory / "result.json").write_text(json.dumps(content))
+    (point,) = design_points(sweep_of(vary={"a": ["3 mm"]}))
+    outcomes = {done.request.directory: final_outcome(done.directory)}
+    table = table_of(("a",), ("angle_of_repose.left", "angle_of_repose.right"), [(point, [done])], outcomes)
+    assert table.columns()["status"] == ["done"]
+    assert table.columns()["reason"] == [
+        f"runs/a: angle_of_repose.left is NaN. {warning} runs/a: angle_of_repose.right is missing."
+    ]
 
 
 def test_table_has_mean_and_standard_error_over_seeds(tmp_path):

@@ -1,6 +1,7 @@
 """Pages of a sweep and of a calibration, from files of runs with known numbers."""
 
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -185,6 +186,31 @@ def test_browser_draws_each_plot(tmp_path, parameters, plots):
     page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     page = page.partition("<body")[2]
     assert page.count('class="plot-container') == plots and ">The plot cannot be shown" not in page
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_plots_follow_the_width_of_the_page(tmp_path):
+    """The page becomes 300 pixels wide after the plots are drawn, without an event of the window."""
+    pytest.importorskip("plotly")
+    sweep, table = swept(tmp_path)
+    write_sweep_page(tmp_path, sweep, "study", table)
+    page = tmp_path / "sweep.html"
+    script = "<script>setTimeout(() => { document.body.style.width = '300px'; }, 6000);</script></body>"
+    page.write_text(page.read_text().replace("</body>", script))
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--window-size=1000,800", "--virtual-time-budget=12000"]
+    dump = subprocess.run([*command, "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=120).stdout
+    widths = {int(width) for width in re.findall(r'class="main-svg"[^>]*? width="(\d+)"', dump.partition("<body")[2])}
+    assert widths == {300}
+
+
+def test_titles_of_a_scatter_matrix_are_outside_the_labels_of_the_ticks(tmp_path):
+    """A title of several lines is placed beside the labels only if it has a standoff."""
+    sweep, table = swept(tmp_path)
+    layout = scatter_matrix(shown(sweep, table)).figure["layout"]
+    for axis in ("xaxis", "yaxis", "xaxis4", "yaxis4"):
+        assert layout[axis]["title"]["standoff"] > 0
+    assert layout["yaxis4"]["title"]["text"] == in_lines("mass_flow.out [kg/s]")
 
 
 def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):

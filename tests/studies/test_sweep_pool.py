@@ -50,7 +50,8 @@ def starts(out):
 
 def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(sweep, tmp_path):
     out = tmp_path / "out"
-    assert not run_sweep(sweep, out, Workers(jobs=2)).is_complete
+    events = []
+    assert not run_sweep(sweep, out, Workers(jobs=2), report=lambda _, event: events.append(event)).is_complete
     found = rows(out)
     assert [row["status"] for row in found] == STATUSES
     assert [row["kinetic_energy [J]"] for row in found[:3]] == [repr(0.5 + k) for k in (0.1, 0.2, 0.30000000000000004)]
@@ -58,9 +59,12 @@ def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(s
         found[0]["rotational_energy [J]"] == ""
         and found[3]["reason"] == f"Stopped: overlap above the limit. State in runs/{found[3]['runs']}."
     )
-    assert found[4]["reason"].endswith("1, but should be below 1.") and len(starts(out)) == 8
+    assert "1, but should be below 1." in found[4]["reason"] and len(starts(out)) == 8
+    assert found[0]["reason"] == f"runs/{found[0]['runs']}: rotational_energy is NaN."
     run_sweep(sweep, out, Workers(jobs=2))
     assert rows(out) == found and len(starts(out)) == 8
+    text = f"steel-steel.restitution = 0.5, steel-steel.friction = 0.1 ({found[0]['runs']}) done"
+    assert events.count(text) == 1
 
 
 def test_stopped_sweep_resumes_from_checkpoints_to_the_same_table(sweep, tmp_path):

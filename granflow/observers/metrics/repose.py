@@ -94,9 +94,10 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
 
         angle = arctan |g|,      error = sqrt(d C d) / (1 + |g|^2)
 
-    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a slope if
-    sqrt(d C d) is at most RELATIVE_ERROR |g|, and if a level surface with independent, normally distributed heights has
-    the same coefficient of determination R^2 with a probability below SIGNIFICANCE (F-test of the regression).
+    g: gradient, d = g / |g|, C: covariance of g from the residuals of the least-squares fit. The fit is a slope if a
+    level surface with independent, normally distributed heights has the same coefficient of determination R^2 with a
+    probability below SIGNIFICANCE (F-test of the regression), and if sqrt(d C d) is at most RELATIVE_ERROR |g|. The
+    second condition is the stricter one for few points, or if the points extend little along g.
     """
     if len(height) < FEWEST:
         return no_slope(f"the surface has {len(height)} points, but a fit needs at least {FEWEST}")
@@ -113,11 +114,16 @@ def _slope(position: np.ndarray, height: np.ndarray) -> Slope:
     spread = np.linalg.inv(matrix.T @ matrix)[1:, 1:] * (residual @ residual) / freedom
     along = gradient / steepness if steepness > 0.0 else gradient
     error = float(np.sqrt(along @ spread @ along))
-    if error > RELATIVE_ERROR * steepness or not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
+    if not _chance(unexplained, len(gradient), freedom) < SIGNIFICANCE:
         return no_slope(
             f"the fit to {len(height)} points of the surface explains {1.0 - unexplained:.0%} of the variance of their "
             "heights, and rough level surfaces reach as much by chance: the surface is not a slope, or the region is "
             "too small"
+        )
+    if error > RELATIVE_ERROR * steepness:
+        return no_slope(
+            f"the gradient of the fit to {len(height)} points of the surface has a standard error of "
+            f"{error / steepness:.0%} of it, above {RELATIVE_ERROR:.0%}: the region is too small or too narrow"
         )
     return Slope(float(np.arctan(steepness)), error / (1.0 + steepness**2))
 

@@ -42,11 +42,93 @@ EXAMPLES = {
     "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
 }
 """Examples by key where the shipped scenes have special values or none."""
+PART_EXAMPLES = {
+    "scene.start_from": "out/hopper",
+    "scene.title": "Conical hopper",
+    "scene.damping": "{drag: 5 1/s, stages: [settle]}",
+    "Material.restitution_fit": "[3.0, 0.5]",
+    "MaterialPair.twisting_friction": "20 um",
+    "MaterialPair.rolling_dissipation": "0.1 ms",
+    "MaterialPair.rolling_damping": "0.3",
+    "MaterialPair.hamaker_constant": "6.5e-20",
+    "MaterialPair.separation": "1.65e-10",
+    "RestitutionFit.sigma": "3.0",
+    "RestitutionFit.limit_velocity": "100 m/s",
+    "Damping.drag": "5 1/s",
+    "Group.mass": "20 g",
+    "Group.clump": "{spheres: [{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]}",
+    "Clump.spheres": "[{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]",
+    "Group.radius": "2 mm",
+    "Group.velocity": "[0, 0, -0.5 m/s]",
+    "Group.angular_velocity": "[0, 6, 0]",
+    "Group.thermal": "{velocity_rms: 0.1 m/s}",
+    "Stage.min_duration": "50 ms",
+    "RunSettings.time_step": "2 us",
+    "Output.fields": "{bed: {cell: 5 mm, quantities: [solid_fraction, velocity]}}",
+    "ThorntonNormal.yield_ratio": "0.02",
+    "KuwabaraKonoNormal.reference_velocity": "1 m/s",
+    "Vibration.amplitude": "1 mm",
+    "Vibration.frequency": "25 Hz",
+    "Vibration.angular_frequency": "157 rad/s",
+    "Translation.velocity": "[0, 0, -20 mm/s]",
+    "Translation.initial_velocity": "[0, 0, 0]",
+    "Translation.ramp_duration": "50 ms",
+    "Rotation.ramp_duration": "0.5 s",
+    "Rotation.initial_angular_velocity": "0",
+    "SurfaceVelocity.velocity": "[0.5 m/s, 0, 0]",
+    "SurfaceVelocity.initial_velocity": "[0, 0, 0]",
+    "SurfaceVelocity.ramp_duration": "0.2 s",
+    "TableMotion.file": "motion.csv",
+    "TableMotion.times": "[0, 0.5 s, 1 s]",
+    "TableMotion.displacements": "[0, 4 mm, 0]",
+    "TableMotion.velocities": "[0, 20 mm/s, 0]",
+    "TableMotion.angles": "[0, 30 deg, 0]",
+    "TableMotion.angular_velocities": "[0, 30 rpm, 0]",
+    "Servo.direction": "[0, 0, -1]",
+    "Servo.pressure": "50 kPa",
+    "Servo.velocity_max": "0.1 m/s",
+    "FreeWall.direction": "[0, 0, -1]",
+    "LogNormalSizes.min": "1 mm",
+    "LogNormalSizes.max": "4 mm",
+    "LogNormalSizes.median": "2 mm",
+    "LogNormalSizes.sigma": "0.3",
+    "ThermalMotion.velocity_rms": "0.1 m/s",
+    "RainInsertion.rate": "2000 1/s",
+    "RainInsertion.end": "1 s",
+    "InletInsertion.start": "0",
+    "FileInsertion.file": "particles.csv",
+    "StageCondition.quantity": "wall_pressure.lid",
+    "StageCondition.above": "100 kPa",
+    "StageCondition.below": "5 kPa",
+    "FieldGrid.cells": "[20, 1, 40]",
+    "LaceyMetric.cells": "[4, 4, 8]",
+    "SegregationMetric.cells": "[4, 4, 8]",
+    "SegregationMetric.cell": "20 mm",
+    "SlidingMetric.walls": "[floor]",
+    "Box.min": "[0, 0, 0]",
+    "Box.max": "[40 mm, 40 mm, 80 mm]",
+    "Checkpoints.interval": "0.5 s",
+    "FileSummary.speed_max": "0.5 m/s",
+    "FileSummary.diameter_min": "3 mm",
+    "FileSummary.overlap_max": "0.01",
+    "FileSummary.overlap_rows": "lines 12 and 40",
+    "LeesEdwards.start": "0.2 s",
+    "BoxOutlet.box": "{min: [-0.5, -0.5, 0.2], max: [0.5, 0.5, 0.4]}",
+    **{f"{law}Stiffness{way}": value for law in ("Linear", "WaltonBraun", "Luding") for way, value in (
+        ("ReferenceVelocity.reference_velocity", "1 m/s"), ("Value.value", "1e4 N/m"))},
+    "WaltonBraunUnloadingReferenceVelocity.reference_velocity": "1 m/s",
+    **{f"{motion}.end": "1.5 s" for motion in (
+        "Vibration", "Translation", "Rotation", "TableMotion", "SurfaceVelocity", "Servo", "FreeWall")},
+    **{f"{wall}.vanishes_at": "1 s" for wall in (
+        "Plane", "Rectangle", "Cylinder", "Cone", "Disc", "BoxWall", "MeshWall")},
+}  # fmt: skip
+"""Examples by part and key where neither the shipped scenes nor the type give a realistic value."""
 
 
 def example_of(key: Key) -> str:
     """Key and example value as YAML on one line."""
-    value = EXAMPLES.get(key.name) or _described(key.description) or _from_scenes(key)
+    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name)
+    value = value or _described(key.description) or _from_scenes(key)
     return f"{key.name}: {value or _typical(key.schema, key.name)}"
 
 

@@ -52,7 +52,7 @@ class FieldGrid(GridSpec):
     """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
 
     Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
-    Formulas: docs/pages/guides/coarse_graining.md.
+    Formulas: documentation, Coarse graining and metrics.
 
     >>> gf.FieldGrid(cell="5 mm", quantities=["density", "velocity"]).quantities
     ('density', 'velocity')

@@ -20,7 +20,7 @@ LARGEST_ANGLE = 0.9
 TIME_STEP_FRACTION = 0.05
 """Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then within 0.25 %
 of the given one for every contact model and every restitution from 0.5 up. Large scenes use up to 0.3 where a few
-tenths of a percent are enough: table in docs/pages/explanation/accuracy.md."""
+tenths of a percent are enough: table in the documentation, Accuracy."""
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]

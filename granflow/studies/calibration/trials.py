@@ -21,7 +21,7 @@ from granflow.studies.calibration.targets import (
     standard_errors,
 )
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
-from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, numbers_of, read_json
+from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, reason_without
 from granflow.studies.run_processes.process import execute
 from granflow.studies.run_processes.settings import relocated
 
@@ -171,9 +171,4 @@ def _missing_reason(name: str, measured: Measured, directory: Path) -> str:
     quantity = measured.target.quantity
     if measured.time is not None:
         return f"{directory}: {quantity} is NaN, or missing, at some time of the target {name}."
-    if quantity not in numbers_of(directory):
-        return f"{directory} has no {quantity}, which the target {name} requires."
-    metric = f"output.metrics.{quantity.partition('.')[2]}: "
-    content = read_json(directory / "result.json") or {}
-    reasons = [each for each in content.get("warnings", ()) if str(each).startswith(metric)]
-    return " ".join([f"{directory}: {quantity} is NaN (target {name}).", *reasons])
+    return f"{directory}: target {name}: {reason_without(quantity, directory)}"

@@ -12,7 +12,14 @@ import numpy as np
 from granflow import Run, Scene
 from granflow.errors import GranflowError
 from granflow.studies.figures import COLORS
-from granflow.studies.render.bounding_points import domain_of, drawn_box, outermost_points, planes_of, sampled
+from granflow.studies.render.bounding_points import (
+    bounding_points,
+    domain_of,
+    drawn_box,
+    outermost_points,
+    planes_of,
+    sampled,
+)
 from granflow.studies.render.camera import upward, view_of
 from granflow.studies.render.colors import CATEGORIES, SIGNED, Scale, scale_for, values_of
 from granflow.studies.render.frames import Frame, FrameParticles, FrameWalls, frames_of, read_particles, read_walls
@@ -98,6 +105,9 @@ def interactive_view(record: Run) -> View | None:
     particles = [_every(stride, read_particles(frame)) for frame in frames]
     arrays, scene = PackedArrays(), None if record.scene_problem else record.scene
     header = _particle_header(frames, particles, scene, arrays)
+    outermost = np.concatenate([*map(outermost_points, particles), np.array(header["extent"])])
+    points = bounding_points("all", scene, frames, domain_of(scene), outermost)
+    header["extent"] = [points.min(axis=0).tolist(), points.max(axis=0).tolist()]
     has_all_walls = _add_walls(header["frames"], frames, particles, scene, arrays)
     return View(header, arrays.text(), _statement(len(frames), len(filled), count, stride, has_all_walls))
 

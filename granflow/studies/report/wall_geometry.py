@@ -27,17 +27,24 @@ def geometry_of(walls: FrameWalls) -> WallGeometry:
     points, index = np.unique(walls.points[corners].astype(np.float32), axis=0, return_inverse=True)
     ends = np.cumsum([each.size for each in walls.polygons])
     parts = np.split(index.reshape(-1), ends[:-1])
-    polygons = [part.reshape(each.shape) for part, each in zip(parts, walls.polygons, strict=True)]
+    polygons = [_with_area(part.reshape(each.shape)) for part, each in zip(parts, walls.polygons, strict=True)]
     fans = [each[:, [0, k, k + 1]] for each in polygons for k in range(1, each.shape[1] - 1)]
     sides = [each[:, [k, (k + 1) % each.shape[1]]] for each in polygons for k in range(each.shape[1])]
     normals = [_normals(points, each) for each in polygons for _ in range(each.shape[1])]
     return WallGeometry(points, np.concatenate(fans), _sharp_edges(np.concatenate(sides), np.concatenate(normals)))
 
 
+def _with_area(polygons: np.ndarray) -> np.ndarray:
+    """The polygons (k, n) with at least three different corners; a disc without a hole has others at its center."""
+    found: np.ndarray = polygons[np.array([len(set(each)) > 2 for each in polygons.tolist()], dtype=bool)]
+    return found
+
+
 def _normals(points: np.ndarray, polygons: np.ndarray) -> np.ndarray:
     """Unit normals (k, 3) of polygons (k, n); zero for a polygon without area."""
-    first, second, last = (points[polygons[:, k]].astype(np.float64) for k in (0, 1, -1))
-    normal = np.cross(second - first, last - first)
+    corners = points[polygons].astype(np.float64)
+    corners -= corners[:, :1]
+    normal = np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1)  # twice the area, also with equal corners
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
 
 

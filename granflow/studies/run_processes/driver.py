@@ -58,7 +58,7 @@ def _duration(seconds: float) -> str:
 
 
 Report = Callable[[Progress, str], None]
-"""Function that receives the progress, and the name and status of a run that has just ended, or an empty text."""
+"""Function that receives the progress, and the text and status of a run that has just ended, or an empty text."""
 
 
 @dataclass(order=True)
@@ -83,7 +83,8 @@ class _Job:
 class Driver:
     """Carries out runs.
 
-    `report` receives the progress at the start, every REPORT_INTERVAL, and after each run with its name and status.
+    `report` receives the progress at the start, every REPORT_INTERVAL, and after each run with its text and status.
+    `texts`: what identifies each run in the report, by its directory.
     `slots`: function that returns how many runs are submitted at a time; `stop`: set from outside to stop all runs,
     each with a checkpoint.
     """
@@ -94,8 +95,10 @@ class Driver:
         slots: Callable[[], int],
         stop: Event,
         report: Report,
+        texts: Mapping[str, str],
     ) -> None:
         self._executor, self._slots, self._stop, self._report = executor, slots, stop, report
+        self._texts = texts
         self._ready: list[_Job] = []
         self._held: dict[str, list[_Job]] = {}
         self._running: dict[Future[Outcome], _Job] = {}
@@ -177,10 +180,10 @@ class Driver:
         if outcome.is_lost and job.attempt > 1:
             outcome = replace(outcome, reason=f"{outcome.reason} Attempts: {job.attempt}.")
         self.outcomes[job.run.request.directory] = outcome
-        self._tell(f"{job.run.directory.name} {outcome.status}")
+        self._tell(f"{self._texts.get(job.request.directory, job.run.directory.name)} {outcome.status}")
 
     def _tell(self, event: str) -> None:
-        """Report the progress; `event`: name and status of the run that has ended, or an empty text."""
+        """Report the progress; `event`: text and status of the run that has ended, or an empty text."""
         self._told = time.monotonic()
         self._report(self._progress(self._told - self._began), event)
 

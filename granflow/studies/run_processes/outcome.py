@@ -79,6 +79,16 @@ def numbers_of(directory: Path) -> dict[str, float]:
     return {} if result is None else result.numbers
 
 
+def reason_without(quantity: str, directory: Path) -> str:
+    """Why a completed run has no number for a quantity: that it is NaN, with the warnings of the run on its metric."""
+    if quantity not in numbers_of(directory):
+        return f"{quantity} is missing."
+    metric = f"output.metrics.{quantity.partition('.')[2]}: "
+    content = read_json(directory / "result.json") or {}
+    reasons = [str(each) for each in content.get("warnings", ()) if str(each).startswith(metric)]
+    return " ".join([f"{quantity} is NaN.", *reasons])
+
+
 def worst(outcomes: Iterable[Outcome]) -> Outcome:
     """The most severe status of several runs, with the different reasons of all of them and the sum of the seconds."""
     found = list(outcomes)

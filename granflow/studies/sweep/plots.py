@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from granflow.studies.figures import COLORS
-from granflow.studies.report.plots import Plot
+from granflow.studies.report.plots import STANDOFF, Plot
 from granflow.studies.sweep.axes import COLOR_SCALE, axis, layout, level_text, plain, row_of_axes
 from granflow.studies.sweep.sensitivity import SobolIndices
 from granflow.studies.sweep.shown import ShownTable
@@ -141,9 +141,10 @@ def scatter_matrix(table: ShownTable) -> Plot | None:
     }  # fmt: skip
     look = layout(MATRIX_CELL * len(dimensions) + 110)
     look |= {"margin": look["margin"] | {"b": 100}, "font": look["font"] | {"size": 10}}
-    for k, name in enumerate((*table.parameters, *table.quantities)):
+    for k, (name, dimension) in enumerate(zip((*table.parameters, *table.quantities), dimensions, strict=True)):
+        title = {"text": dimension["label"], "standoff": STANDOFF}  # with a standoff, all lines are outside the ticks
         for along in "xy":
-            look[f"{along}axis{k + 1 if k else ''}"] = {"automargin": True, **_scale(table, name)}
+            look[f"{along}axis{k + 1 if k else ''}"] = {"automargin": True, "title": title, **_scale(table, name)}
     return Plot("All parameters and quantities against each other", {"data": [data], "layout": look})
 
 

@@ -19,6 +19,7 @@ from granflow.studies.run_processes.settings import relocated
 from granflow.studies.sweep.design import DesignPoint, design_points
 from granflow.studies.sweep.page import write_sweep_page
 from granflow.studies.sweep.schema import SweepInput, keys_of
+from granflow.studies.sweep.shown import run_texts, shown
 from granflow.studies.sweep.table import SweepTable, table_of, write_tables
 
 STOP_FILE = ".stop"
@@ -115,7 +116,8 @@ def run_sweep(
         names = (tuple(sweep.content.vary), sweep.content.read)
         with executor_for(workers) as (executor, slots):
             updates = _Updates(out, lambda outcomes: table_of(*names, points, outcomes), report)
-            driver = Driver(executor, slots, stop, updates.report)
+            texts = run_texts(shown(sweep.content, table_of(*names, points, {})))
+            driver = Driver(executor, slots, stop, updates.report, texts)
             updates.outcomes = driver.outcomes
             try:
                 driver.run(runs)

@@ -6,7 +6,7 @@ from typing import Any
 
 from granflow.fields import unit_of
 from granflow.scene.schema.given_numbers import common_unit, in_unit
-from granflow.studies.sweep.axes import short_names
+from granflow.studies.sweep.axes import level_text, short_names
 from granflow.studies.sweep.schema import SweepInput, ValueList, ValueRange
 from granflow.studies.sweep.table import PointRow, SweepTable
 
@@ -69,6 +69,18 @@ def shown(sweep: SweepInput, table: SweepTable) -> ShownTable:
     units = {name: _given_unit(variation) for name, variation in sweep.vary.items()}
     ranges = {name: each for name, each in sweep.vary.items() if isinstance(each, ValueRange)}
     return ShownTable(table, units, frozenset(name for name, each in ranges.items() if each.scale == "log"))
+
+
+def run_texts(table: ShownTable) -> dict[str, str]:
+    """Parameter values and name of each run, and its seed if there are several, by its directory."""
+    found = {}
+    for row in table.rows:
+        values = {table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters}
+        for run in (each.run for each in row.runs if each.run is not None):
+            own = values | ({"seed": str(run.seed)} if table.table.seed_count > 1 else {})
+            text = ", ".join(f"{name} = {value}" for name, value in own.items())
+            found[run.request.directory] = f"{text} ({run.directory.name})"
+    return found
 
 
 def _given_unit(variation: Any) -> str:

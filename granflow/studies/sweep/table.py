@@ -1,7 +1,7 @@
 """Tables of a sweep: one row per point (`sweep.csv`) and one per run (`runs.csv`)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan, sqrt
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from granflow.fields import unit_of
 from granflow.io.atomic_files import replacing
 from granflow.io.tables import write_table
 from granflow.studies.run_processes.checked import CheckedRun
-from granflow.studies.run_processes.outcome import DONE, REFUSED, UNFINISHED, Outcome, numbers_of, worst
+from granflow.studies.run_processes.outcome import DONE, REFUSED, UNFINISHED, Outcome, numbers_of, reason_without, worst
 from granflow.studies.run_processes.quantities import error_name
 from granflow.studies.sweep.design import DesignPoint
 
@@ -120,16 +120,21 @@ def table_of(
     outcomes: Mapping[str, Outcome],
 ) -> SweepTable:
     """The table of points and their runs, or the reasons why these are refused; `outcomes` by directory."""
-    rows = [PointRow(point, [_run_row(run, outcomes) for run in runs]) for point, runs in points]
+    rows = [PointRow(point, [_run_row(run, outcomes, quantities) for run in runs]) for point, runs in points]
     return SweepTable(tuple(parameters), tuple(quantities), max(len(runs) for _, runs in points), tuple(rows))
 
 
-def _run_row(run: CheckedRun | str, outcomes: Mapping[str, Outcome]) -> RunRow:
-    """The row of a run, or of the reason why it is refused."""
+def _run_row(run: CheckedRun | str, outcomes: Mapping[str, Outcome], quantities: Sequence[str]) -> RunRow:
+    """The row of a run, or of the reason why it is refused; the reason also states why quantities are NaN."""
     if isinstance(run, str):
         return RunRow(None, Outcome(REFUSED, run, 0.0))
     outcome = outcomes.get(run.request.directory, UNFINISHED)
-    return RunRow(run, outcome, numbers_of(run.directory) if outcome.has_numbers else {})
+    if not outcome.has_numbers:
+        return RunRow(run, outcome)
+    numbers = numbers_of(run.directory)
+    without = [name for name in quantities if not isfinite(numbers.get(name, nan))]
+    reasons = [f"runs/{run.directory.name}: {reason_without(name, run.directory)}" for name in without]
+    return RunRow(run, replace(outcome, reason=" ".join(filter(None, [outcome.reason, *reasons]))), numbers)
 
 
 def write_tables(out: Path, table: SweepTable) -> None:

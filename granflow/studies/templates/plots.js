@@ -48,7 +48,12 @@ function drawPlot(figure) {
     const {data, layout} = themed(content);
     return Plotly.react(plot, data, layout, look).then(() => makeRoom(plot, content.layout));
   };
-  draw().then(() => plot.on("plotly_afterplot", () => makeRoom(plot, layout)));
+  draw().then(() => {
+    plot.on("plotly_afterplot", () => makeRoom(plot, layout));
+    new ResizeObserver(() => {  // in the same frame as the page, where plotly waits for the event of the window
+      if (plot.clientWidth && plot._fullLayout.width !== plot.clientWidth) Plotly.relayout(plot, {autosize: true});
+    }).observe(figure);
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
 }
 
