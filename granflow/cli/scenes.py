@@ -61,13 +61,12 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
         from granflow.cli.resume import run_to_end
         from granflow.io.lock import locked
         from granflow.simulation import Simulation
-        from granflow.studies.restitution import warnings as restitution_warnings
 
         simulation = Simulation(
             scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
             communicator=communicator, overwrite=options.overwrite,
         )  # fmt: skip
-        simulation.warnings += restitution_warnings(scene, simulation.plan)
+        simulation.warnings += warnings_of_time(scene, simulation.plan)
     with locked(out):
         # another process may have used the directory in the meantime
         printed += prepare_output(out, scene, options.overwrite)
@@ -102,13 +101,14 @@ def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
 def check(options: argparse.Namespace) -> int:
     """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
 
-    Warnings go to stderr. Returns 0; raises SceneError with the problems. If the particles do not fit into the memory,
-    their packing is not checked.
+    The first line has the number of warnings, which follow on stderr. Returns 0; raises SceneError with the problems.
+    If the particles do not fit into the memory, their packing is not checked.
     """
     scene = load(options)
     from granflow.particles.generate import initial_particles
     from granflow.particles.insertion import inserters
     from granflow.plan.build import plan_for
+    from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
     from granflow.plan.forecast.regions import particle_warnings
     from granflow.plan.memory_check import fits, memory_warning, refuse_too_many
     from granflow.plan.run_time import refuse_run_time
@@ -121,17 +121,40 @@ def check(options: argparse.Namespace) -> int:
     else:  # a rank has a part of the particles only
         refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
-    warn([*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])])
+    found = [*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])]
+    found += warnings_of_time(scene, plan)
     for note in plan.mesh_notes:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
-        say(f"{options.scene}: no problems found, but the packing of the particles was not checked.")
-        return 0
-    warn(particle_warnings(scene, plan, initial_particles(scene, particles_from_run(scene))))
+        return _say_checked(options.scene, found, ", but the packing of the particles was not checked")
+    particles = initial_particles(scene, particles_from_run(scene))
+    refuse_initial_overlaps(scene, particles)
+    found += particle_warnings(scene, plan, particles)
     inserters(scene)
-    say(f"{options.scene}: no problems found.")
+    return _say_checked(options.scene, found)
+
+
+def _say_checked(path: Path, warnings: list[str], remark: str = "") -> int:
+    """Print the result of a check without errors, then the warnings; return the exit code 0."""
+    count = f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
+    say(f"{path}: {count}{remark}.", flush=True)
+    warn(warnings)
     return 0
+
+
+def warnings_of_time(scene: "Scene", plan: "Plan") -> list[str]:
+    """Sentences on restitutions that the time step does not reproduce, and on an output interval above the duration."""
+    from granflow.studies.restitution import warnings as restitution_warnings
+
+    longest = sum(stage.longest for stage in plan.stages)
+    found = restitution_warnings(scene, plan)
+    if scene.output.interval > longest:
+        found.append(
+            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the run lasts "
+            f"at most {longest:g} s: only the first and the last state are written. Choose a shorter interval."
+        )
+    return found
 
 
 def schema(options: argparse.Namespace) -> int:

@@ -1,6 +1,7 @@
 """What is read from a run on the device: clock, energies, snapshots, arrays of the particles."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from granflow.engine.accounting import Accounting, mechanical_energy
 from granflow.engine.clump_arrays import CLUMP_MOTION, synchronized_clumps
 from granflow.engine.diagnosis import diagnose
+from granflow.engine.exact_sums import exact_sum
 from granflow.engine.force.contact_output import ContactOutput
 from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.force.wall_forces import wall_impulses
@@ -32,6 +34,19 @@ MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force",
 
 CONTACT_COUNTS = ("coordination_number", "wall_contact_count")
 """Fields with the number of contacts of each particle."""
+
+
+@dataclass(frozen=True)
+class RestState:
+    """How close the mobile particles are to rest.
+
+    kinetic_energy:  mean translational and rotational kinetic energy [J] per particle
+    unbalanced:      magnitude of the net force on all of them over their weight, which is the acceleration of the
+                     center of mass over gravity: 1 in free fall, 0 in equilibrium; 0 without gravity
+    """
+
+    kinetic_energy: float
+    unbalanced: float
 
 
 class Readings:
@@ -121,12 +136,16 @@ class Readings:
             energy += self._contact_energy() + ended_contacts_dissipation(self.state)
         return energy
 
-    def mean_kinetic_energy(self) -> float:
-        """Mean translational and rotational kinetic energy [J] per particle that is not fixed."""
+    def rest_state(self) -> RestState:
+        """Mean kinetic energy and net force of the particles that are not fixed, the same for any order of them."""
         arrays, ranks = self._own_synchronized(MOTION), self.state.ranks
         kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
-        mobile_count = float(ranks.total(np.array([mobility_mask(arrays).sum()]))[0])
-        return (kinetic + rotational) / max(mobile_count, 1.0)
+        mobile = mobility_mask(arrays)
+        mobile_count = float(ranks.total(np.array([mobile.sum()]))[0])
+        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(np.linalg.norm(self._gravity))
+        net = [exact_sum(component * mobile, ranks) for component in arrays["force"].astype(float).T]
+        unbalanced = float(np.linalg.norm(net)) / weight if weight else 0.0
+        return RestState((kinetic + rotational) / max(mobile_count, 1.0), unbalanced)
 
     def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
         """Snapshot of the present state, read-only arrays in SI units; the run continues as without it.

@@ -50,6 +50,21 @@ def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, 
     return near if near and abs(near[0] - time) <= SAME_TIME * max(abs(time), 1.0) else None
 
 
+def frame_near(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:
+    """Time [s] and file of the frame nearest to a time [s], at most half of the distance to its next frame away.
+
+    The distance is that to the neighbor on the side of `time`, of the other side for the first and last frame; a single
+    frame must be at that time. None if there is none.
+    """
+    near = min(range(len(series)), key=lambda index: abs(series[index][0] - time), default=None)
+    if near is None or len(series) == 1:
+        return frame_at(series, time)
+    side = near + 1 if time > series[near][0] else near - 1
+    other = side if 0 <= side < len(series) else 2 * near - side
+    interval = abs(series[other][0] - series[near][0])
+    return series[near] if abs(series[near][0] - time) <= 0.5 * interval * (1.0 + SAME_TIME) else None
+
+
 def file_at(series: Sequence[tuple[float, Path]], time: float) -> Path | None:
     """File of the given time [s] in another series of the same run."""
     found = frame_at(series, time)

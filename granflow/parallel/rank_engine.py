@@ -75,7 +75,7 @@ class RankEngine(Engine):
     copied = _on_all_ranks("copied")
     synchronized = _on_all_ranks("synchronized")
     saved_sums = _on_all_ranks("saved_sums")
-    mean_kinetic_energy = _on_all_ranks("mean_kinetic_energy")
+    rest_state = _on_all_ranks("rest_state")
 
     def _new_stepper(self) -> Stepper:
         return RankStepper(self.state, self.communicator, self._account_deleted)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,14 @@ class TimeStep:
     is_given: bool
     """Whether the scene gives the step as a number."""
     warnings: tuple[str, ...]
+    shortest_phase: float = math.inf
+    """Shortest loading or unloading time [s], which `numerics.time_step_fraction` refers to."""
+
+    def remedy(self, step: float) -> str:
+        """Key and value that reduce the time step to `step` [s]: that of the step if the scene gives it as a number."""
+        if self.is_given:
+            return f"run.time_step: {step:.3g} s"
+        return f"numerics.time_step_fraction: {step / self.shortest_phase:.3g}"
 
 
 def choose_time_step(
@@ -111,8 +119,9 @@ def choose_time_step(
             f"is {value:.3g} s, above the stability limit {stable:.3g} s ({stable_name} at {velocity:.3g} m/s). "
             f"Lower it to {chosen:.2g} s or remove it."
         )
-    least, warnings = _restitution_reached(value, pair_cases, law, velocity)
-    return TimeStep(value, limited_by, stable, stable_name, least, given is not None, warnings)
+    step = TimeStep(value, limited_by, stable, stable_name, 0.0, given is not None, (), resolved / fraction)
+    least, warnings = _restitution_reached(step, pair_cases, law, velocity)
+    return replace(step, least_restitution=least, warnings=warnings)
 
 
 def resolution_warning(
@@ -213,19 +222,19 @@ def rayleigh_time(solid: Solid, radius: float) -> float:
 
 
 def _restitution_reached(
-    step: float, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float
+    step: TimeStep, pair_cases: Sequence[PairCase], law: NormalLaw, velocity: float
 ) -> tuple[float, tuple[str, ...]]:
     """Smallest restitution that the step can reproduce, and a sentence per material pair that requires less.
 
-    `step` [s], `velocity` [m/s]. The sentence of a pair names its contact with the largest difference; contacts that
-    cannot occur are ignored. (0, ()) for a contact model that reproduces every restitution.
+    `step` without both results, `velocity` [m/s]. The sentence of a pair names its contact with the largest difference;
+    contacts that cannot occur are ignored. (0, ()) for a contact model that reproduces every restitution.
     """
     if not law.limits_restitution:
         return 0.0, ()
     least, worst = 0.0, dict[str, tuple[float, float, str]]()
     for pair_case in pair_cases:
         pair_arguments = (*pair_case.dashpot_arguments, velocity)
-        bound, required = law.least_restitution(*pair_arguments, step), law.restitution(*pair_arguments)
+        bound, required = law.least_restitution(*pair_arguments, step.value), law.restitution(*pair_arguments)
         least = max(least, bound)
         key = pair_case.pair_key
         if key is not None and required < bound and (key not in worst or bound > worst[key][0]):
@@ -233,17 +242,17 @@ def _restitution_reached(
     return least, tuple(_shortfall(key, *found, velocity, step) for key, found in worst.items())
 
 
-def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: float) -> str:
+def _shortfall(pair: str, bound: float, required: float, contact: str, velocity: float, step: TimeStep) -> str:
     """Sentences on a material pair whose restitution the step cannot reproduce; no step can for e(v) = 0."""
-    remedy = 0.99 * step * required / bound
+    remedy = step.remedy(0.99 * step.value * required / bound)
     if required == 0.0:
         return (
             f"{pair}: the restitution at {velocity:.3g} m/s is 0, and no time step reproduces 0 of a restitution that "
-            f"depends on the velocity: the smallest is {bound:.3g} at a time step of {step:.3g} s ({contact}). A "
+            f"depends on the velocity: the smallest is {bound:.3g} at a time step of {step.value:.3g} s ({contact}). A "
             "constant restitution of 0 is exact."
         )
     return (
-        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step:.3g} s "
-        f"reproduces no restitution below {bound:.3g} ({contact}). A run.time_step of "
-        f"{remedy:.3g} s is short enough."
+        f"{pair}: the restitution at {velocity:.3g} m/s is {required:.3g}, but a time step of {step.value:.3g} s "
+        f"reproduces no restitution below {bound:.3g} ({contact}). Use "
+        f"{remedy}."
     )

@@ -12,9 +12,6 @@ from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.servo_forces import ServoForces
 from granflow.runs.stage_conditions import StageConditions
 
-REST_CHECKS = 200
-"""Number of checks of the kinetic energy over the maximum duration of a stage that ends at rest."""
-
 
 @dataclass
 class StageProgress:

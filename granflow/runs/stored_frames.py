@@ -7,7 +7,7 @@ from typing import Generic, TypeVar, overload
 import numpy as np
 
 from granflow.fields import CONTACT_QUANTITIES
-from granflow.io.frame_reader import frame_at, is_empty, listed_frames, read_mesh
+from granflow.io.frame_reader import frame_near, is_empty, listed_frames, read_mesh
 from granflow.io.vtu_mesh import VtuMesh
 
 T = TypeVar("T")
@@ -55,8 +55,11 @@ class Frames(Sequence[T], Generic[T]):
         return (self._read(*file) for file in self._files)
 
     def at(self, time: float) -> T | None:
-        """The frame at `time` [s], within a relative tolerance of 1e-9; None if there is none."""
-        found = frame_at(self._files, time)
+        """The frame nearest to `time` [s], at most half of the interval between frames away; None if there is none.
+
+        Frames are written at the first step after a multiple of the output interval, such as 0.5000033 s.
+        """
+        found = frame_near(self._files, time)
         return self._read(*found) if found else None
 
     def __repr__(self) -> str:

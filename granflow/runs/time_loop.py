@@ -11,10 +11,10 @@ from granflow.engine.limits import abort_message
 from granflow.errors import RunError, StopRun
 from granflow.observers.base import TOTALS
 from granflow.plan.scene_parts import PlannedStage
+from granflow.runs.rest import REST_CHECKS, ends_at_rest, warn_without_rest
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
-from granflow.runs.stage_progress import REST_CHECKS
 from granflow.runs.step_batches import StepBatches
 from granflow.runs.timings import collect_result
 
@@ -65,7 +65,7 @@ class TimeLoop:
 
         The stage ends after its longest duration, at the first row of the time series that satisfies one of its
         conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at rest; REST_CHECKS
-        checks are distributed evenly. A resumed stage continues at its target.
+        checks are distributed evenly (see `granflow.runs.rest`). A resumed stage continues at its target.
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:
@@ -81,19 +81,15 @@ class TimeLoop:
             progress.servos.sample_if_due(self.engine, stage.longest)
             if self.engine.reached(next_check):
                 progress.next_check += stage.longest / REST_CHECKS
-                if self._at_rest(stage):
+                if self.state.insertion.is_done and ends_at_rest(stage, progress.stage_times, self.engine):
                     break
         else:
             if progress.conditions.met is None and not self.engine.reached(stop):
                 return
             progress.conditions.log_end(stage, self.engine.time)
+            warn_without_rest(stage, self.engine, self.state.insertion.is_done)
         progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
-
-    def _at_rest(self, stage: PlannedStage) -> bool:
-        """Whether the mean kinetic energy per particle is below the limit of the stage, and no insertion is pending."""
-        limit = stage.kinetic_energy_below
-        return limit is not None and self.engine.mean_kinetic_energy() < limit and self.state.insertion.is_done
 
     def _begin_stage(self, stage: PlannedStage, check_interval: float) -> None:
         """Begin a stage: place its walls, insert due particles, compute the forces.

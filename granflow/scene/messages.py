@@ -150,7 +150,7 @@ class _SchemaError:
             word = _word(node)
             known = [name.removeprefix("law ") for name in names]
             near = nearest(word, known) if word and word not in known else None
-            hint = f". Did you mean {near}?" if near else "" if word in known else _registration(self.path)
+            hint = f". Did you mean {near}?" if near else _options(self.path, word) or _registration(self.path)
             return Fault(self.path, self.context["reason"] + hint)
         key = self.context["key"]
         names = [name for name in names if name not in ("number", "list", "none")]
@@ -176,6 +176,17 @@ def _word(node: Node) -> str:
     """A word as written, also that of a contact model in `{law: WORD}`; empty for another mapping or a list."""
     law = node.child("law")
     return node.text if law is None else law.text
+
+
+def _options(path: KeyPath, word: str) -> str:
+    """Sentence on the options that a contact model requires, after the list of forms; empty for other words."""
+    slot = str(path[1]) if path[:1] == ("contact",) and len(path) > 1 else ""
+    model = registry.models(slot).get(word) if slot in SLOTS else None
+    if model is None:
+        return ""
+    required = {key: each for key, each in model.options.items() if each.default is None}
+    given = ", ".join(f"{key}: {getattr(each, 'example', '...')}" for key, each in required.items())
+    return f". {word} requires {' and '.join(required)}, such as {{law: {word}, {given}}}" if required else ""
 
 
 def _elsewhere(word: str) -> str:

@@ -279,7 +279,7 @@ def _sentence(plan: Plan, pair: Collision, impact: _Impact) -> str:
     """Warning with the given and the simulated restitution, and the remedy."""
     reached = _worst_restitution(plan, impact, plan.time_step)
     remedy = next(_remedies(plan, impact), None)
-    advice = f"Use run.time_step: {remedy:.2g} s." if remedy else "A smaller run.time_step reduces the difference."
+    advice = f"Use {plan.step.remedy(remedy)}." if remedy else "A smaller time step reduces the difference."
     return (
         f"{name_of(pair)}: the given restitution is {impact.requested:.4g} at {impact.velocity:.3g} m/s, but the time "
         f"step of {plan.time_step:.3g} s results in {reached:.4g}. {advice}"

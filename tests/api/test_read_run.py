@@ -64,6 +64,9 @@ def test_frames_equal_the_snapshots(run, reference):
         np.testing.assert_array_equal(found.contacts["id_i"], expected.contacts["id_i"])
         np.testing.assert_allclose(found.contacts["force"], expected.contacts["force"], rtol=2e-6, atol=1e-9)
     assert run.frames[-1].contacts is None and len(run.frames[1:]) == len(snapshots) - 1
+    between = np.mean(run.frames.times[:2])
+    assert run.frames.at(0.9 * between).time == run.frames.times[0]
+    assert run.frames.at(1.1 * between).time == run.frames.times[1]
     assert run.contacts.at(0.5) is None and len(run.contacts.at(0.0)["overlap"]) == len(snapshots[0].contacts["force"])
     with pytest.raises(IndexError):
         run.frames[99]

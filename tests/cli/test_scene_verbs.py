@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from plan.scenes import TEXT
 
 from granflow.cli.main import main
 
@@ -30,6 +31,29 @@ def scene_file(tmp_path, monkeypatch, readme_scene):
 def test_scene_of_the_readme_has_no_problems(scene_file, capsys):
     assert main(["check", "two.yaml"]) == 0
     assert capsys.readouterr().out == "two.yaml: no problems found.\n"
+
+
+def test_warnings_are_counted_and_follow_the_result(scene_file, capsys):
+    changes = ["--set", "output.interval=1 s", "--set", "materials.steel.density=2.5"]
+    assert main(["check", "two.yaml", *changes]) == 0
+    output = capsys.readouterr()
+    count = int(re.fullmatch(r"two\.yaml: no errors, (\d+) warnings\.\n", output.out)[1])
+    assert output.err.count("granflow: warning: ") == count >= 2
+    assert "output.interval" in output.err and "is 1 s, but the run lasts at most 0.02 s" in output.err
+
+
+@pytest.mark.parametrize("change", ["numerics.time_step_fraction=0.5", "run.time_step=2e-5"])
+def test_check_reports_a_restitution_that_the_step_does_not_reach(tmp_path, capsys, change):
+    """The message names the key that the scene gives, and a value with which the warning disappears."""
+    path = tmp_path / "beads.yaml"
+    path.write_text(TEXT.replace("restitution: 0.7", "restitution: 0.3").replace("normal: zhou", "normal: hertz"))
+    assert main(["check", str(path), "--set", "numerics.rayleigh_fraction=1", "--set", change]) == 0
+    error = capsys.readouterr().err
+    assert "the given restitution is 0.3" in error
+    key, value = re.search(r"Use ([a-z_.]+): ([0-9.e-]*[0-9])", error).groups()
+    assert key == change.split("=")[0]
+    assert main(["check", str(path), "--set", "numerics.rayleigh_fraction=1", "--set", f"{key}={value}"]) == 0
+    assert "the given restitution" not in capsys.readouterr().err
 
 
 def test_problems_are_listed_with_lines_and_counted(scene_file, capsys):

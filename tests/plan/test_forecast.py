@@ -10,10 +10,12 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow import load_scene
 from granflow.cli.examples import scene_paths
+from granflow.errors import SceneError
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.forecast.advice import required_moduli
 from granflow.plan.forecast.contact import impact_overlap
+from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
 from granflow.plan.walls import surface_speed
@@ -240,6 +242,40 @@ def test_file_of_a_settled_bed_causes_no_warning(tmp_path, distance, expected):
     assert all("overlap by up to 0.25 of the smaller radius (lines 2 and 3)" in each for each in found)
 
 
+@pytest.mark.parametrize(
+    ("positions", "distance", "limit", "overlap"),
+    [
+        ([[0, 0, 0.1], [0, 0, 0.1]], 0.01, 0.1, 2.0),
+        ([[0.05, 0, 0], [0, 0, 0], [0, 0.007, 0]], 0.003, 0.1, 0.6),
+        ([[0, 0, -0.998], [0, 0, 0.999]], 0.007, 0.1, 1.4),
+        ([[0, 0, 0], [0, 0.0099, 0]], None, 0.1, 0.02),
+        ([[0, 0, 0], [0, 0.007, 0]], None, 0.7, 0.6),
+    ],
+    ids=["identical", "overlap", "periodic", "touching", "higher limit"],
+)
+def test_initial_particles_that_overlap_each_other_are_refused(positions, distance, limit, overlap):
+    """Spheres with the radius 5 mm overlap by (2 R - |x_i - x_j|) / R."""
+    domain = {"min": [-1.0] * 3, "max": [1.0] * 3, "periodic": ["z"], "on_exit": "error"}
+    numerics = {"max_overlap": limit}
+    scene = build_scene({"balls": particle_group(positions)}, domain=domain, numerics=numerics)
+    if distance is None:
+        return refuse_initial_overlaps(scene, initial_particles(scene))
+    sentence = (
+        f"overlap by {overlap:g} of the smaller radius .* numerics.max_overlap {limit:g} .*Move them {distance:g} m"
+    )
+    with pytest.raises(SceneError, match=sentence):
+        refuse_initial_overlaps(scene, initial_particles(scene))
+
+
+def test_an_overlap_in_a_file_names_both_particles(tmp_path):
+    (tmp_path / "start.csv").write_text("x,y,z,r\n0.005,0.005,0.002,0.002\n0.005,0.0085,0.002,0.002\n")
+    text = TEXT.replace("    count: 10\n    diameter: 4 mm\n", "")
+    start, end = text.index("    insert: {kind: lattice"), text.index("domain:")
+    scene = scene_of(tmp_path, text=f"{text[:start]}    insert: {{kind: file, file: start.csv}}\n{text[end:]}")
+    with pytest.raises(SceneError, match=r"beads\[0\] at .* and particles beads\[1\] at .* overlap by 0.25 of"):
+        refuse_initial_overlaps(scene, initial_particles(scene))
+
+
 def test_largest_overlap_is_that_of_small_particles_with_large_ones():
     small, large = particle_group([[0, 0, 0.1]], 0.002), particle_group([[0, 0, 0.2]], 0.02)
     scene = build_scene({"small": small, "large": large}, run={"duration": 0.1, "velocity_max": 1.0})
@@ -289,6 +325,15 @@ def test_servos_of_different_stages_do_not_add_their_speeds():
     ("changes", "sentence"),
     [
         ("materials.glass.density=2.5", "materials.glass.density .* is 2.5 kg/m3, less than light foams"),
+        (
+            "materials={glass: {young_modulus: 50e6 N/mm2, poisson_ratio: 0.2, density: 2500}, "
+            "steel: {young_modulus: 2e6 GPa, poisson_ratio: 0.3, density: 7800}}",
+            "young_modulus .* is 5e[+]04 GPa, more than that of diamond",
+        ),
+        (
+            "pairs.glass-glass.work_of_adhesion=0.1",
+            "pairs.glass-glass.work_of_adhesion .* is not used, because contact.cohesion is none; dmt or jkr",
+        ),
         ("pairs.glass-glass.friction=30", "pairs.glass-glass.friction .* is 30: it is a coefficient"),
         (
             "expect=[{quantity: angle_of_repose.heap, between: [20, 30]}]",

@@ -166,7 +166,7 @@ def test_stable_step_that_does_not_reach_the_restitution_causes_a_warning(tmp_pa
     assert warning.startswith(
         "glass-glass: the restitution at 1 m/s is 0.7, but a time step of 4.5e-05 s reproduces no restitution below"
     )
-    remedy = float(warning.split("A run.time_step of ")[1].split()[0])
+    remedy = float(warning.split("Use run.time_step: ")[1].split()[0])
     assert not plan_for(scene_of(tmp_path, f"run.time_step={0.98 * remedy}")).step.warnings
 
 

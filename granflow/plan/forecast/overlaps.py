@@ -57,13 +57,13 @@ def static_forecasts(plan: Plan, pairs: Iterable[TouchingPair], pressures: Itera
         warning = None
         if largest.overlap > plan.max_overlap and (cohesive is None or cohesive.warning is None):
             warning = (
-                f"{largest.pair.name}: under {load.cause} contacts overlap by up to {_share(largest.overlap)}, "
+                f"{largest.pair.name}: under {load.cause} contacts overlap by {_up_to(largest.overlap)}, "
                 f"{_above(plan)} {_remedy(largest)}."
             )
         name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
         remark = f"{largest.pair.name} under {load.cause}"
         force = load.largest_force(2.0 * largest.pair.radius)
-        yield Forecast(name, f"up to {_share(largest.overlap)}", remark, warning, load.kind, largest.overlap, force)
+        yield Forecast(name, _up_to(largest.overlap), remark, warning, load.kind, largest.overlap, force)
 
 
 def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | None:
@@ -118,6 +118,10 @@ def _remedy(largest: _Largest, capital: bool = True) -> str:
     accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
     text = largest.instruction + (accept if needed <= LARGEST_OVERLAP else "")
     return text[0].upper() + text[1:] if capital else text
+
+
+def _up_to(overlap: float) -> str:
+    return f"up to {_share(overlap)}" if overlap < 1.0 else _share(overlap)
 
 
 def _share(overlap: float) -> str:

@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from math import pi
 
+from granflow.contact import registry
 from granflow.fields import unit_of
 from granflow.load import Scene
+from granflow.plan.forecast.advice import HARDEST, pressure_words
 from granflow.plan.walls import surface_speed
 
 LIGHTEST = 20.0
@@ -26,6 +28,8 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
                 f"materials.{name}.density ({where}) is {material.density:.3g} kg/m3, less than light foams: check "
                 "the unit (2.5 g/cm3 is 2500 kg/m3)."
             )
+    yield from _all_too_hard(scene)
+    yield from _unused_cohesion(scene)
     for name, pair in scene.pairs.items():
         if pair.friction > MOST_FRICTION:
             yield (
@@ -39,6 +43,31 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
             yield (
                 f"expect[{index}] ({scene.where('expect', str(index))}): {each.quantity} is in rad, and the bound is "
                 f"{max(map(abs, bounds)):.3g} rad. Write degrees with the unit, such as 25 deg."
+            )
+
+
+def _all_too_hard(scene: Scene) -> Iterator[str]:
+    """A sentence on the softest material if all are harder than diamond; a hard one beside a softer one is rigid."""
+    name = min(scene.materials, key=lambda each: scene.materials[each].young_modulus)
+    modulus = scene.materials[name].young_modulus
+    if modulus > HARDEST:
+        yield (
+            f"materials.{name}.young_modulus ({scene.where('materials', name, 'young_modulus')}) is "
+            f"{pressure_words(modulus)}, more than that of diamond: check the unit (1 N/mm2 is 1 MPa)."
+        )
+
+
+def _unused_cohesion(scene: Scene) -> Iterator[str]:
+    """A sentence on the parameters of a cohesion that is switched off."""
+    if scene.contact.name("cohesion") != "none":
+        return
+    for option in registry.pair_options().values():
+        models = registry.models_with(option.key)
+        names = [name for name, pair in scene.pairs.items() if getattr(pair, option.key)]
+        if list(models) == ["cohesion"] and names:
+            yield (
+                f"pairs.{names[0]}.{option.key} ({scene.where('pairs', names[0], option.key)}) is not used, because "
+                f"contact.cohesion is none; {' or '.join(models['cohesion'])} would use it."
             )
 
 

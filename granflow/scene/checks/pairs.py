@@ -7,6 +7,7 @@ from granflow.contact import registry
 from granflow.contact.options import FRICTION
 from granflow.scene.document import KeyPath
 from granflow.scene.partial import PartialScene, unknown
+from granflow.scene.schema.contact import Contact
 from granflow.scene.schema.faults import Fault, missing, whole
 from granflow.scene.schema.materials import RestitutionFit
 from granflow.scene.schema.scene import SceneInput
@@ -112,11 +113,19 @@ def pair_options(parts: PartialScene) -> Iterator[Fault]:
             if users and value is None:
                 slot, name = next(iter(users.items()))
                 yield missing(path, f"contact.{slot} is {name}; {option.remedy}")
-            elif value and not users:
+            elif value and not users and not _is_switched_off(contact, known):
                 slot, names = next(iter(known.items()))
                 remedy = "write 0" if option.key == FRICTION.key else f"remove {option.key}"
                 reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
                 yield Fault(path, reason)
+
+
+def _is_switched_off(contact: Contact, slots: Iterable[str]) -> bool:
+    """Whether an option is one of a cohesion that is none: it is unused then, with a warning of the plan.
+
+    A comparison with and without cohesion changes `contact.cohesion` only.
+    """
+    return list(slots) == ["cohesion"] and contact.name("cohesion") == "none"
 
 
 def restitution(parts: PartialScene) -> Iterator[Fault]:

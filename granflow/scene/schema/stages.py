@@ -45,12 +45,16 @@ class Stage(Model):
     name: Name = Field(description="name of the stage")
     duration: q.PositiveTime | None = Field(None, description="duration [s]")
     kinetic_energy_below: q.Energy | None = Field(
-        None, description="the stage ends if the mean kinetic energy per particle is below this value [J]"
+        None,
+        description="the stage ends at rest: the mean kinetic energy per particle is below this value [J], and the net "
+        "force on the particles is below 20 % of their weight",
     )
     until: Annotated[tuple[StageCondition, ...], ListOf(one=True)] = Field(
         (), description="the stage ends if a quantity is above or below a value: one condition, or a list, any of which"
     )
-    min_duration: q.Time = Field(0.0, description="with until: time before which no condition is satisfied [s]")
+    min_duration: q.Time = Field(
+        0.0, description="with kinetic_energy_below or until: time before which no condition is satisfied [s]"
+    )
     max_duration: q.PositiveTime | None = Field(
         None, description="with kinetic_energy_below or until: longest duration [s]"
     )
@@ -71,7 +75,7 @@ class Stage(Model):
             yield missing(("max_duration",), f"a stage with {condition} requires its maximum duration")
         elif self.duration is not None and self.max_duration is not None:
             yield Fault(("max_duration",), "it requires kinetic_energy_below or until; remove max_duration")
-        if self.min_duration and not self.until:
-            yield Fault(("min_duration",), "it requires until; remove min_duration")
+        if self.min_duration and not condition:
+            yield Fault(("min_duration",), "it requires kinetic_energy_below or until; remove min_duration")
         elif self.max_duration is not None and self.min_duration >= self.max_duration:
             yield Fault(("min_duration",), f"it must be shorter than max_duration, {self.max_duration:g} s")
