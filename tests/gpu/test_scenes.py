@@ -98,7 +98,7 @@ def state_in_small_trees(folder, tree_size):
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 def test_fields_in_several_buffers_have_the_bits_of_those_in_one(vulkan, tmp_path):
-    one, several = (in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 18))
+    one, several = (in_subprocess(state_in_small_trees, str(tmp_path), 2**power, seconds=1400) for power in (32, 19))
     assert one["contacts"] and one == several
 
 
