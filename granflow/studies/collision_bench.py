@@ -9,14 +9,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from granflow import ParticleData, Plan, Scene, Simulation, plan_for
+from granflow import ParticleData, Plan, Scene, plan_for
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
 from granflow.scene.schema.run import LARGEST_OVERLAP
+
+if TYPE_CHECKING:
+    from granflow import Simulation
 
 LONGEST = 20.0
 """Maximum length of a collision in units of its expected duration; longer collisions count as sticking."""
@@ -100,8 +103,10 @@ class CollisionBench:
         self.scene = Scene.from_dict(self._described(materials, pairs, contact, run, numerics))
 
     @cached_property
-    def simulation(self) -> Simulation:
+    def simulation(self) -> "Simulation":
         """Simulation of the scene."""
+        from granflow import Simulation  # imports Taichi, which `granflow check` does not need
+
         return Simulation(self.scene, arch=self._arch, threads=self._threads)  # type: ignore[arg-type]
 
     @cached_property

@@ -65,8 +65,7 @@ def stubs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.load, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
-    no_warnings = types.SimpleNamespace(warnings=lambda scene, plan: [])
-    monkeypatch.setitem(sys.modules, "granflow.studies.restitution", no_warnings)
+    monkeypatch.setattr(granflow.cli.scenes, "warnings_of_time", lambda scene, plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls

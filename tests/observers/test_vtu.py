@@ -38,8 +38,7 @@ def test_particles_are_read_back_exactly(tmp_path, count):
     np.testing.assert_array_equal(mesh.points, particles["position"].astype(np.float32))
     assert set(mesh.point_data) == {
         "id", "radius", "diameter", "velocity", "angular_velocity", "force", "material", "group", "coordination_number",
-        "wall_contact_count",
-        "kinetic_energy", "fixed",
+        "wall_contact_count", "kinetic_energy", "fixed", "clump", "orientation",
     }  # fmt: skip
     for name, values in mesh.point_data.items():
         np.testing.assert_array_equal(values, PARTICLE_QUANTITIES[name].for_file(particles[name]))
