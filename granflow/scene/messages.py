@@ -99,6 +99,8 @@ class _SchemaError:
         self.of_key = bool(loc) and loc[-1] == "[key]"
         self.loc: KeyPath = loc[:-1] if self.of_key else loc + tuple(self.context.get("at", ()))
         self.path = path_in_file(document, self.loc)
+        if self.type == "extra_forbidden" and not self.of_key:  # a key such as "<>" looks like a mark of pydantic
+            self.path = (*path_in_file(document, self.loc[:-1]), self.loc[-1])
 
     def keys(self) -> list[str]:
         """The keys of the model that contains the location."""

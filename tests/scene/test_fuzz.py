@@ -127,7 +127,7 @@ def accepted_count(result, count):
 
 
 def test_mutated_scenes_are_accepted_or_rejected_with_positions(tmp_path):
-    accepted = accepted_count(in_subprocess(check_mutated_files, str(tmp_path), 0, 150), 150)
+    accepted = accepted_count(in_subprocess(check_mutated_files, str(tmp_path), 0, 200), 200)
     assert accepted > 10, "some changes result in a valid scene"
 
 
