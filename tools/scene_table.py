@@ -14,7 +14,7 @@ import datetime
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,16 +65,19 @@ def expectations() -> Iterator[str]:
     """One row for each expectation of a shipped scene, with the result of a run."""
     yield row(("scene", "quantity", "unit", "expected", "run", "recorded"))
     yield row(["---"] * 6)
+    stored = stored_results()
     for name in names():
-        run = stored_results().get(name, {})
+        run = stored.get(name, {})
         recorded = f"{run['date']}, {run['commit']}" if run else "not recorded"
-        for quantity, unit, expected_value, value in expected_and_run(name):
+        for quantity, unit, expected_value, value in expected_and_run(name, run.get("numbers", {})):
             yield row((f"`{name}`", f"`{quantity}`", unit, expected_value, value, recorded))
 
 
-def expected_and_run(name: str) -> Iterator[tuple[str, str, str, str]]:
-    """Quantity, unit, expected value and recorded result of each expectation of a shipped scene."""
-    numbers = stored_results().get(name, {}).get("numbers", {})
+def expected_and_run(name: str, numbers: Mapping[str, float]) -> Iterator[tuple[str, str, str, str]]:
+    """Quantity, unit, expected value and recorded result of each expectation of a shipped scene.
+
+    `numbers`: recorded results by quantity.
+    """
     for each in load(SCENES / f"{name}.yaml").expect:
         number = numbers.get(each.quantity)
         value = "" if number is None else f"{number:.5g}"

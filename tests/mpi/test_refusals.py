@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from clumps import clump_group
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.cli.main import main
@@ -28,6 +29,13 @@ def test_another_kernel_language_is_refused_by_check(tmp_path, capsys, monkeypat
     path = scene_with({}).save(tmp_path / "scene.yaml")
     assert main(["check", str(path), "--mpi"]) == 2
     assert "GRANFLOW_KERNELS=quadrants does not work with --mpi: unset GRANFLOW_KERNELS." in capsys.readouterr().err
+    assert main(["check", str(path)]) == 0
+
+
+def test_clumps_are_refused_by_check(tmp_path, capsys):
+    path = build_scene({"rods": clump_group([[0, 0, 0]])}).save(tmp_path / "scene.yaml")
+    assert main(["check", str(path), "--mpi"]) == 2
+    assert "Clumps do not work on MPI ranks" in capsys.readouterr().err
     assert main(["check", str(path)]) == 0
 
 

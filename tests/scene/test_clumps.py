@@ -12,6 +12,7 @@ from granflow.load import Scene
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
+from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
 from granflow.runs.ranks import refuse_on_ranks
 
 REGION = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}
@@ -122,3 +123,9 @@ def test_packed_clumps_do_not_overlap():
     assert found.radius == pytest.approx(np.full(60, 5e-3))
     branch = np.linalg.norm(found.position[:, None] - found.position, axis=2)
     assert branch[~np.eye(60, dtype=bool)].min() > 1e-2
+
+
+def test_clumps_side_by_side_do_not_overlap_although_the_spheres_around_them_do():
+    """Parallel rods with a radius of 2 mm, 4.5 mm apart; the spheres around them have a radius of 5 mm."""
+    scene = build_scene({"rods": clump_group([[0, 0, 0], [0, 4.5e-3, 0]])})
+    refuse_initial_overlaps(scene, initial_particles(scene))

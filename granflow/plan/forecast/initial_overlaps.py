@@ -15,10 +15,13 @@ def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
         (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
 
     Particles on lattices and in packings do not overlap: only scenes with positions or files are searched. Fixed
-    particles overlap each other without a force. Images across periodic faces are included.
+    particles overlap each other without a force. Images across periodic faces are included. Scenes with clumps are not
+    searched: their radii are those of the spheres around the clumps, which may overlap.
     """
-    given = (PositionsInsertion, FileInsertion)
-    if not len(particles.radius) or not any(isinstance(each.insert, given) for each in scene.particles.values()):
+    groups, given = scene.particles.values(), (PositionsInsertion, FileInsertion)
+    if not len(particles.radius) or not any(isinstance(each.insert, given) for each in groups):
+        return
+    if any(each.clump is not None for each in groups):
         return
     box, count = scene.domain.periodic_box(), len(particles.radius)
     position, radius = box.with_images(particles.position, particles.radius)
