@@ -8,6 +8,7 @@ from granflow.contact.branches import run_time_branches, source_lines
 from granflow.contact.model import ContactModel
 from granflow.contact.options import Amount, Choice
 from granflow.scene import partial
+from granflow.scene.reference import schema_keys
 from granflow.scene.schema import contact, materials
 from granflow.scene.schema.fields import Model
 from granflow.scene.schema.scene import SceneInput
@@ -86,3 +87,4 @@ def _use_registry() -> None:
     for block in blocks:
         block.model_rebuild(force=True)
     partial.clear_schema()
+    schema_keys.clear_schema()

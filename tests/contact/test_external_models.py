@@ -214,6 +214,10 @@ def test_scene_keys_in_the_terminal_contain_the_models(capsys):
     assert "{law: sticky, ...}" in shown and "saturation  number [m]; required" in shown
     assert main(["schema", "pairs.rolling_viscosity"]) == 0
     assert "torque over rolling rate [N m s]; required with contact.rolling: syrupy" in capsys.readouterr().out
+    unregister_contact_model(VISCOUS)
+    main(["schema", "pairs.rolling_viscosity"])
+    assert "syrupy" not in capsys.readouterr().out
+    register_contact_model(VISCOUS)
 
 
 def test_json_schema_contains_the_models():

@@ -118,6 +118,12 @@ def places() -> dict[str, list[str]]:
     return found
 
 
+def clear_schema() -> None:
+    """Clear what was derived from the schema; required after a change of the schema."""
+    parts.cache_clear()
+    places.cache_clear()
+
+
 def variant(part: str) -> str:
     """Key and value that select a part of a union, such as `shape: cone`; empty for other parts."""
     constants = {key: value["const"] for key, value in parts()[part].get("properties", {}).items() if "const" in value}
