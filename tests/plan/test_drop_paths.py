@@ -126,7 +126,7 @@ def warned(given):
 def stiff_for(height):
     """Materials for which an elastic impact after a fall by `height` [m] overlaps by 0.095 of the radius.
 
-        d/R = (5 pi rho v^2 / (4 E*))^0.4,     E* = E / (2 (1 - nu^2))
+    d/R = (5 pi rho v^2 / (4 E*))^0.4,     E* = E / (2 (1 - nu^2))
     """
     modulus_eff = 1.25 * np.pi * 2500.0 * fall(height) ** 2 / 0.095**2.5
     return {"glass": SOFT["glass"] | {"young_modulus": 2.0 * (1.0 - 0.25**2) * float(modulus_eff)}}

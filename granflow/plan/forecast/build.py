@@ -12,7 +12,7 @@ from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
 from granflow.plan.forecast.regions import region_warnings
 from granflow.plan.forecast.servos import servo_warnings
-from granflow.plan.forecast.times import nominal_times
+from granflow.plan.forecast.times import interval_warnings, nominal_times
 from granflow.plan.forecast.units import unit_warnings
 from granflow.plan.forecast.walls import size_warnings, wall_warnings
 from granflow.plan.plan import Plan
@@ -38,6 +38,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),
+        *interval_warnings(scene, times),
         *unit_warnings(scene),
     ):
         yield Forecast("", "", sentence, sentence)

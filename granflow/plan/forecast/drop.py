@@ -38,8 +38,8 @@ def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
 
         v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
 
-    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from them. That of the plan if the drop heights are
-    not known, see `_drop_heights`.
+    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from them. That
+    of the plan if the drop heights are not known, see `_drop_heights`.
     """
     planned, heights = plan.impact_velocity, _drop_heights(scene, plan)
     if not heights:
@@ -104,7 +104,9 @@ def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
 
 def _belt_speed(walls: Iterable[PlannedWall]) -> float:
     """Largest surface speed [m/s] of walls whose motions are those of belts."""
-    speeds = (sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity)) for wall in walls)
+    speeds = (
+        sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity)) for wall in walls
+    )
     return max(speeds, default=0.0)
 
 
