@@ -346,6 +346,28 @@ def test_values_with_a_probably_wrong_unit_are_reported(tmp_path, changes, sente
     assert any(re.search(sentence, each) for each in warnings_of(scene_of(tmp_path, heap, changes)))
 
 
+def test_each_particle_material_harder_than_diamond_is_reported(tmp_path):
+    """Diamond has 1.2 TPa; a softer material beside the hard one changes nothing, and a wall can be rigid."""
+
+    def reported(*materials, wall="rubber"):
+        groups = {name: particle_group([[0.1 * k, 0.0, 0.0]], material=name) for k, name in enumerate(materials)}
+        soft = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
+        moduli = {"diamond": 1.2e12, "ten": 1.2e13, "hundred": 1.2e14}
+        given = {name: soft | {"young_modulus": modulus} for name, modulus in moduli.items()} | {"rubber": soft}
+        walls = {"floor": plane([0, 0, -0.5], [0, 0, 1], wall)}
+        found = warnings_of(build_scene(groups, walls, materials=given, run={"duration": 1.0, "velocity_max": 0.01}))
+        return [each.split(".")[1] for each in found if "more than that of diamond" in each]
+
+    assert reported("rubber", "ten", "diamond", "hundred") == ["ten", "hundred"]
+    assert reported("rubber", "diamond", wall="ten") == []
+
+
+@pytest.mark.parametrize(("interval", "count"), [("51 ms", 1), ("50 ms", 0)])
+def test_plan_reports_an_output_interval_above_the_duration(tmp_path, interval, count):
+    plan = plan_for(scene_of(tmp_path, f"output.interval={interval}"))
+    assert sum("output.interval" in each and "at most 0.05 s" in each for each in plan.warnings) == count
+
+
 def test_a_drum_at_180_rad_per_second_is_reported():
     motion = {"kind": "rotation", "point": [0, 0, 0], "axis": [0, 1, 0], "angular_velocity": 180}
     drum = {"shape": "cylinder", "from": [0, 0, 0], "to": [0, 0.1, 0], "radius": 0.1, "material": "glass"}
