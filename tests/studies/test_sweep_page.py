@@ -157,6 +157,9 @@ def test_overlay_shows_the_series_of_all_runs(tmp_path):
     assert set(plot.figure["data"][1]["y"]) == {2.0}
     labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
     assert labels == ["mass flow, out", "flow mass, out"]
+    plot = series_overlay(runs, ["flow_mass.out", "mass_flow.out"], "x")
+    labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
+    assert labels == ["flow mass, out", "mass flow, out"]
 
 
 def test_overlay_shows_angles_in_degrees(tmp_path):
