@@ -230,6 +230,7 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     result = result_of(search, found.targets)
     friction, restitution = result.parameters
     assert restitution.value == pytest.approx(0.62, abs=0.02) and not restitution.not_identified
+    assert restitution.optimum == pytest.approx(0.62, abs=3.0 * restitution.deviation) and np.isnan(friction.optimum)
     assert friction.not_identified.startswith(
         "friction cannot be identified from the targets: none of them responds to it between its bounds by more than "
         "the scatter between runs; energy changes by "
