@@ -28,7 +28,7 @@ Behavior of granflow with invalid files, values and command lines, and with faul
 tools/adversarial.py` runs each case in separate processes and writes this table; `python3 tools/dev.py slow
 tests/adversarial` compares it. In each case, the terminal shows neither a traceback nor control characters, the process
 ends within its time limit and uses at most 1.5 GB of memory, and the files of a run are complete: no temporary file, no
-unlisted frame, no NaN.
+unlisted frame, no NaN but for residence times before the first passage.
 
 Exit codes: 0 success; 1 an expectation is not satisfied; 2 input rejected; 3 aborted by a limit; 4 files cannot be
 written; 130 and 143 stopped by SIGINT and SIGTERM; negative: killed by that signal.
