@@ -152,5 +152,5 @@ MODEL = ContactModel(
         )
     },
     pair_options=(SURFACE_TENSION, CONTACT_ANGLE),
-    example={"max_bridge_volume": 1e-11},
+    example={"max_bridge_volume": 1e-15},
 )
