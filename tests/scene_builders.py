@@ -54,7 +54,7 @@ def build_scene(groups, walls=None, pair=None, **parts):
         "particles": groups,
         "domain": {"min": [-1.0] * 3, "max": [1.0] * 3, "on_exit": "error"},
         "run": {"duration": 1.0},
-        "output": {"interval": 1.0},
+        "output": {"interval": parts.get("run", {}).get("duration") or 1.0},
     }
     return Scene.of(SceneInput.model_validate(scene | parts))
 

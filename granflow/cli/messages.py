@@ -77,6 +77,14 @@ def warn(sentences: Iterable[str]) -> None:
         say(visible_line(f"granflow: warning: {sentence}"), file=sys.stderr)
 
 
+def say_checked(path: Path, warnings: Sequence[str], remark: str = "") -> int:
+    """Print that the scene at `path` has no errors and how many warnings, then the warnings; return the exit code 0."""
+    count = f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
+    say(f"{path}: {count}{remark}.", flush=True)
+    warn(warnings)
+    return 0
+
+
 def warned(sentences: Iterable[str]) -> list[str]:
     """Print warnings as `warn` does, and return them."""
     found = list(sentences)

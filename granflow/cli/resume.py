@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import add_allow_long, add_machine, add_mpi, simulated_time, thread_count
-from granflow.cli.messages import exit_code_of, print_error, say, show_result, warn, warned
+from granflow.cli.messages import exit_code_of, print_error, say, say_checked, show_result, warned
 from granflow.cli.signals import deferred_to
 from granflow.errors import GranflowError
 from granflow.visible_text import VisibleFormatter
@@ -150,13 +150,13 @@ def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None"
 def run_to_end(
     simulation: "Simulation", scene: "Scene", out: Path, until: float | None, printed: Sequence[str] = ()
 ) -> int:
-    """Run with signal handling, print warnings and numbers, and return the exit code.
+    """Print the number of warnings and the warnings, run with signal handling, print numbers; return the exit code.
 
     `until`: simulated time at which the run ends [s], or None. `printed`: warnings on stderr so far, which run.log and
     result.json contain too. Returns 1 if an expectation is not satisfied, 130 or 143
     after a stop signal.
     """
-    warn(simulation.warnings)
+    say_checked(scene.path, simulation.warnings)
     simulation.warnings += printed
     try:
         with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):

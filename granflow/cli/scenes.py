@@ -19,7 +19,7 @@ from granflow.cli.arguments import (
     simulated_time,
     thread_count,
 )
-from granflow.cli.messages import say, warn, warned
+from granflow.cli.messages import say, say_checked, warned
 from granflow.cli.quick_start import quick_start
 from granflow.errors import GranflowError
 
@@ -66,7 +66,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
             scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
             communicator=communicator, overwrite=options.overwrite,
         )  # fmt: skip
-        simulation.warnings += warnings_of_time(scene, simulation.plan)
+        simulation.warnings += restitution_warnings(scene, simulation.plan)
     with locked(out):
         # another process may have used the directory in the meantime
         printed += prepare_output(out, scene, options.overwrite)
@@ -122,39 +122,24 @@ def check(options: argparse.Namespace) -> int:
         refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)
     found = [*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])]
-    found += warnings_of_time(scene, plan)
+    found += restitution_warnings(scene, plan)
     for note in plan.mesh_notes:
         if not note.warning:
             say(f"walls.{note.wall}: {note.sentence}.")
     if not fits(plan):
-        return _say_checked(options.scene, found, ", but the packing of the particles was not checked")
+        return say_checked(options.scene, found, ", but the packing of the particles was not checked")
     particles = initial_particles(scene, particles_from_run(scene))
     refuse_initial_overlaps(scene, particles)
     found += particle_warnings(scene, plan, particles)
     inserters(scene)
-    return _say_checked(options.scene, found)
+    return say_checked(options.scene, found)
 
 
-def _say_checked(path: Path, warnings: list[str], remark: str = "") -> int:
-    """Print the result of a check without errors, then the warnings; return the exit code 0."""
-    count = f"no errors, {len(warnings)} warning{'s' * (len(warnings) > 1)}" if warnings else "no problems found"
-    say(f"{path}: {count}{remark}.", flush=True)
-    warn(warnings)
-    return 0
+def restitution_warnings(scene: "Scene", plan: "Plan") -> list[str]:
+    """Sentences on restitutions that the time step does not reproduce."""
+    from granflow.studies.restitution import warnings
 
-
-def warnings_of_time(scene: "Scene", plan: "Plan") -> list[str]:
-    """Sentences on restitutions that the time step does not reproduce, and on an output interval above the duration."""
-    from granflow.studies.restitution import warnings as restitution_warnings
-
-    longest = sum(stage.longest for stage in plan.stages)
-    found = restitution_warnings(scene, plan)
-    if scene.output.interval > longest:
-        found.append(
-            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the run lasts "
-            f"at most {longest:g} s: only the first and the last state are written. Choose a shorter interval."
-        )
-    return found
+    return warnings(scene, plan)
 
 
 def schema(options: argparse.Namespace) -> int:

@@ -16,7 +16,8 @@ class Timing:
     particle_steps:       sum of the particle counts of all steps
     growth_count:         number of reallocations with a larger list capacity
     compile:              compilation of kernels
-    exchange:             part of `advance`: messages between MPI ranks, waiting for slower ranks included
+    exchange:             part of `advance`: messages between MPI ranks
+    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest rank
     """
 
     neighbor_list: float = 0.0
@@ -29,14 +30,20 @@ class Timing:
     growth_count: int = 0
     compile: float = 0.0
     exchange: float = 0.0
+    waiting: float = 0.0
+
+    @property
+    def _computing(self) -> float:
+        """Wall-clock time [s] of forces and integration."""
+        return self.advance - self.exchange - self.waiting
 
     @property
     def forces(self) -> float:
         """Wall-clock time [s] of contact forces."""
-        sampled, computing = self.sampled_forces + self.sampled_integration, self.advance - self.exchange
-        return computing * self.sampled_forces / sampled if sampled else computing
+        sampled = self.sampled_forces + self.sampled_integration
+        return self._computing * self.sampled_forces / sampled if sampled else self._computing
 
     @property
     def integration(self) -> float:
         """Wall-clock time [s] of time integration."""
-        return self.advance - self.exchange - self.forces
+        return self._computing - self.forces

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from granflow.geometry.quaternion import of_matrix
+from granflow.geometry.quaternion import matrices, of_matrix
 from granflow.geometry.sphere_union import union_integrals
 
 DIAGONAL = 1e-9
@@ -47,6 +47,14 @@ class ClumpShape:
         Sums of masses over spheres are thereby those over clumps.
         """
         return np.asarray(self.radius**3 / np.sum(self.radius**3))
+
+    def spheres(self, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+        """Centers (n, k, 3) [m] of the spheres of clumps with centers of mass (n, 3) [m] and orientations (n, 4).
+
+        The orientations turn the frame of the given positions, as those of `ParticleData`.
+        """
+        arms = self.offset @ matrices(self.principal_axes[None])[0].T
+        return np.asarray(position[:, None] + np.einsum("nij,kj->nki", matrices(orientation), arms))
 
 
 @lru_cache(maxsize=64)

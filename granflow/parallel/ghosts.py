@@ -125,36 +125,26 @@ class GhostExchange:
         self._receives = _parts(self._in, received)
 
     def update(self) -> None:
-        """Update the ghosts from their owners; keeps the flags of this rank for `agree`."""
+        """Update the ghosts from their owners."""
         records = _records(self._state)
         np.take(records, self._entries, out=self._out, mode="clip")
         self._communicator.exchange_buffers(self._sends, self._receives)
         records[self.first : self.first + self.count] = self._in
-        self._flags[REBUILD] = int(self._state.control.rebuild_requested[0])
-        self._read_abort()
 
-    def agree(self, stop: bool) -> tuple[bool, bool]:
+    def agree(self, stop: bool, rebuild: bool = False) -> tuple[bool, bool]:
         """Whether any rank requests a rebuild and a stop; an abort of one rank becomes that of all.
 
-        stop:  whether this rank requests a stop
+        stop, rebuild:  what this rank requests
         """
         control, flags = self._state.control, self._flags
-        flags[STOP] = int(stop)
+        flags[STOP], flags[REBUILD] = int(stop), int(rebuild)
+        flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
+        if flags[ABORT]:
+            flags[PARTICLE] = -int(control.abort_particle[0])
         agreed = self._communicator.largest_of(flags)
         if agreed[ABORT]:
             control.abort[0], control.abort_particle[0] = int(agreed[ABORT]), -int(agreed[PARTICLE])
         return bool(agreed[REBUILD]), bool(agreed[STOP])
-
-    def read_abort(self) -> None:
-        """Read the abort of this rank for `agree`, without a request of a rebuild."""
-        self._flags[REBUILD] = 0
-        self._read_abort()
-
-    def _read_abort(self) -> None:
-        control, flags = self._state.control, self._flags
-        flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
-        if flags[ABORT]:
-            flags[PARTICLE] = -int(control.abort_particle[0])
 
 
 def _records(state: State) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Time steps of one MPI rank: integration, exchange of ghosts, rebuild if any rank requests it, contact forces."""
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 from granflow.engine.force.external_forces import write_force_inputs
@@ -64,9 +65,8 @@ class RankStepper(Stepper):
     def forces(self, pose: int = 0, history_step: float | None = None) -> None:
         """As `Stepper.forces`; an abort of one rank becomes that of all."""
         super().forces(pose, history_step)
-        self._sum_wall_forces()
-        self._rank_rebuild.ghosts.read_abort()
         self._agree()
+        self._sum_wall_forces()
 
     def _sum_wall_forces(self) -> None:
         """Write the force of all ranks on each force-controlled wall as that of the first chunk of each rank."""
@@ -79,10 +79,10 @@ class RankStepper(Stepper):
         by_chunk[0] = total
         field.from_numpy(by_chunk)
 
-    def _agree(self) -> bool:
-        """Whether any rank requests a rebuild; also agrees on an abort and a stop."""
-        rebuild, self._agreed = self._rank_rebuild.ghosts.agree(self._requested)
-        return rebuild
+    def _agree(self, rebuild: bool = False) -> bool:
+        """Whether any rank requests a rebuild; also agrees on an abort and a stop. Waits for the slowest rank."""
+        is_due, self._agreed = self._rank_rebuild.ghosts.agree(self._requested, rebuild)
+        return is_due
 
     def _advance_batch(self, steps: int, step: int) -> int:
         """Take one step; returns the number of completed steps, 0 after an abort."""
@@ -93,18 +93,25 @@ class RankStepper(Stepper):
         began, rebuild_seconds = clock.perf_counter(), self.timing.neighbor_list
         write_force_inputs(state, step + 1)
         moving = self._launch_phase(forcing=0)
-        integrated = clock.perf_counter()
-        self._rank_rebuild.ghosts.update()
-        is_due = self._agree()
-        exchanged = clock.perf_counter()
+        with self._recorded("waiting"):
+            is_due = self._agree(bool(state.control.rebuild_requested[0]))
+        if not is_due or self.abort_code:  # a rebuild selects other ghosts
+            with self._recorded("exchange"):
+                self.update_ghosts()
         done = 0 if self.abort_code else self._finish_step(is_due, step, moving)
         self.poses.advance(done)
         self.timing.sampled_integration += moving
-        self.timing.exchange += exchanged - integrated
         self.timing.advance += clock.perf_counter() - began - (self.timing.neighbor_list - rebuild_seconds)
         self.timing.step_count += done
         self.timing.particle_steps += done * self._rank_rebuild.total_count
         return done
+
+    @contextmanager
+    def _recorded(self, phase: str) -> Iterator[None]:
+        """Adds the wall-clock time of a block to a phase of `Timing`."""
+        began = clock.perf_counter()
+        yield
+        setattr(self.timing, phase, getattr(self.timing, phase) + clock.perf_counter() - began)
 
     def _launch_phase(self, moving: int = 1, forcing: int = 1) -> float:
         """Launch one phase of a step; returns its wall-clock time [s]."""
@@ -121,13 +128,12 @@ class RankStepper(Stepper):
             self.rebuild_neighbor_lists(step + 1, self.poses.next)
             write_force_inputs(self.state, step + 1)
         forcing = self._launch_phase(moving=0)
-        computed = clock.perf_counter()
         self._rank_rebuild.balance.record(moving + forcing)
         self.timing.sampled_forces += forcing
-        self._sum_wall_forces()
-        self._rank_rebuild.ghosts.read_abort()
-        self._agree()
-        self.timing.exchange += clock.perf_counter() - computed
+        with self._recorded("waiting"):
+            self._agree()
+        with self._recorded("exchange"):
+            self._sum_wall_forces()
         if self.abort_code:
             return 0
         if not is_due:

@@ -1,7 +1,8 @@
 """Data of new particles, and helper functions of all generators."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -75,16 +76,18 @@ def particles_of(group: SceneGroup, position: np.ndarray, radius: np.ndarray, ba
         radius=radius,
         material=np.full(count, group.material_number, dtype=np.int32),
         group=np.full(count, group.number, dtype=np.int32),
-        orientation=None if group.spec.clump is None else _orientations(group, group.spec.clump, count, batch),
+        orientation=None
+        if group.spec.clump is None
+        else orientations(group.spec.clump, count, partial(group.orientation_random, batch)),
     )
 
 
-def _orientations(group: SceneGroup, clump: Clump, count: int, batch: int) -> np.ndarray:
-    """Orientations (count, 4) of new clumps."""
+def orientations(clump: Clump, count: int, random: Callable[[], np.random.Generator]) -> np.ndarray:
+    """Orientations (count, 4) of new clumps; `random`: creates the generator of random orientations."""
     if clump.orientation is None:
         return np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     if clump.orientation == "random":
-        return random_orientations(count, group.orientation_random(batch))
+        return random_orientations(count, random())
     rotations = clump.orientation if isinstance(clump.orientation, tuple) else (clump.orientation,)
     turns = about(np.array([each.axis for each in rotations]), np.array([each.angle for each in rotations]))
     return np.broadcast_to(turns, (count, 4)).copy()

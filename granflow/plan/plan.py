@@ -142,7 +142,7 @@ class Plan(Decisions):
         neighbors += SHARE_AT_MESHES * at_meshes
         return int(neighbors * min(self.chunk_size, self.particle_capacity)) + 16
 
-    @property
+    @cached_property
     def capacities(self) -> Capacities:
         """Lengths of the device arrays at the start."""
         chunk_count = self.chunk_capacity

@@ -91,7 +91,7 @@ def collect_result(
         "neighbor_list": timing.neighbor_list,
         "forces": timing.forces,
         "integration": timing.integration,
-        **({"exchange": timing.exchange} if timing.exchange else {}),
+        **({"exchange": timing.exchange, "waiting": timing.waiting} if timing.waiting else {}),
         "output": wall_clock.output,
         "compile": timing.compile,
     }

@@ -65,7 +65,7 @@ def stubs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.load, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
-    monkeypatch.setattr(granflow.cli.scenes, "warnings_of_time", lambda scene, plan: [])
+    monkeypatch.setattr(granflow.cli.scenes, "restitution_warnings", lambda scene, plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls
@@ -165,7 +165,9 @@ def test_skipped_expectations_are_reported(stubs, capsys):
 def test_warnings_of_the_plan_are_printed_once(stubs, capsys):
     stubs.warnings = ("a-b: too little.", "b-b: too much.")
     assert main(["run", "a.yaml"]) == 0
-    assert capsys.readouterr().err == "granflow: warning: a-b: too little.\ngranflow: warning: b-b: too much.\n"
+    output = capsys.readouterr()
+    assert output.err == "granflow: warning: a-b: too little.\ngranflow: warning: b-b: too much.\n"
+    assert output.out.startswith("a.yaml: no errors, 2 warnings.\n")
 
 
 OUT = Path("out", "a")

@@ -54,6 +54,7 @@ def plain_run(home):
 
 def test_run_succeeds_and_prints_a_summary(home, plain_run):
     assert plain_run.returncode == 0, plain_run.stderr
+    assert plain_run.stdout.startswith("beads.yaml: no problems found.\n")
     for fragment in ("Ten beads fall", "step count", "forces", "compile", "wall clock", "particle count"):
         assert fragment in plain_run.stdout
     assert "particle_count is 10, as expected equal to 10." in plain_run.stdout

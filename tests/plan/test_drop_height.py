@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from scene_builders import build_scene, particle_group, plane
+from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.plan.build import plan_for
 
 GRAVITY = 9.81
+HARD = {"glass": SOFT | {"young_modulus": 1e10}}
+"""Overlaps below the limit: paths over walls (test_drop_paths.py) are computed for those above."""
 FLOOR = {"floor": plane([0, 0, 0.1], [0, 0, 1])}
 RECTANGLE = {"shape": "rectangle", "corner": [0, 0, -0.2], "sides": [[0.1, 0, 0], [0, 0.1, 0]], "material": "glass"}
 BOX = {"box": {"min": [0.0, 0.0, 0.2], "max": [0.1, 0.1, 0.4]}}
@@ -19,7 +21,7 @@ def scene(walls, insert=None, velocity=(0.0, 0.0, 0.0), gravity=(0.0, 0.0, -GRAV
     group = particle_group([[0.0, 0.0, 0.3], [0.0, 0.0, 0.2]], 0.01, velocity=list(velocity))
     if insert is not None:
         group = {"material": "glass", "count": 10, "diameter": 0.01, "insert": {"kind": "pack", "region": insert}}
-    return build_scene({"balls": group}, walls=walls, gravity=list(gravity), **parts)
+    return build_scene({"balls": group}, walls=walls, gravity=list(gravity), materials=HARD, **parts)
 
 
 def fall(height, initial=0.0):

@@ -14,7 +14,7 @@ from granflow.errors import SceneError
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.forecast.advice import required_moduli
-from granflow.plan.forecast.contact import impact_overlap
+from granflow.plan.forecast.contact import impact_overlap, impact_velocity
 from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
@@ -284,6 +284,21 @@ def test_largest_overlap_is_that_of_small_particles_with_large_ones():
     assert set(overlaps) == {"particles of small and large"} and np.isfinite(list(overlaps.values())).all()
 
 
+@pytest.mark.parametrize("normal", ["hertz", "zhou", {"law": "linear", "stiffness": {"value": 2e3}}])
+def test_impact_velocity_follows_from_the_elastic_energy_of_the_model(normal):
+    """At half of the largest overlap of an elastic impact at 0.1 m/s, with the approach velocity that remains there.
+
+    A linear spring stores k d^2 / 2 (1/4 of the energy at d/2), a Hertz contact 8/15 E* sqrt(R) d^2.5 (2^-2.5).
+    """
+    balls = particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])
+    plan = plan_for(build_scene({"balls": balls}, normal=normal, pair={"restitution": 1.0}))
+    (pair,) = touching_pairs(plan)
+    half = 0.5 * pair.radius * impact_overlap(plan.laws, pair, 0.1)
+    stored = 0.25 if isinstance(normal, dict) else 0.5**2.5
+    approach = 0.1 * sqrt(1.0 - stored)
+    assert impact_velocity(plan.laws, pair, half, approach) == pytest.approx(0.1, rel=1e-3)
+
+
 REGION = {"box": {"min": [-0.1] * 3, "max": [0.1] * 3}}
 MASS = pi / 6.0 * 0.004**3 * 2500.0
 """Mass [kg] of a particle of 4 mm."""
@@ -344,6 +359,28 @@ def test_servos_of_different_stages_do_not_add_their_speeds():
 def test_values_with_a_probably_wrong_unit_are_reported(tmp_path, changes, sentence):
     heap = "output.metrics={heap: {kind: repose, surface: cone}}"
     assert any(re.search(sentence, each) for each in warnings_of(scene_of(tmp_path, heap, changes)))
+
+
+def test_each_particle_material_harder_than_diamond_is_reported(tmp_path):
+    """Diamond has 1.2 TPa; a softer material beside the hard one changes nothing, and a wall can be rigid."""
+
+    def reported(*materials, wall="rubber"):
+        groups = {name: particle_group([[0.1 * k, 0.0, 0.0]], material=name) for k, name in enumerate(materials)}
+        soft = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
+        moduli = {"diamond": 1.2e12, "ten": 1.2e13, "hundred": 1.2e14}
+        given = {name: soft | {"young_modulus": modulus} for name, modulus in moduli.items()} | {"rubber": soft}
+        walls = {"floor": plane([0, 0, -0.5], [0, 0, 1], wall)}
+        found = warnings_of(build_scene(groups, walls, materials=given, run={"duration": 1.0, "velocity_max": 0.01}))
+        return [each.split(".")[1] for each in found if "more than that of diamond" in each]
+
+    assert reported("rubber", "ten", "diamond", "hundred") == ["ten", "hundred"]
+    assert reported("rubber", "diamond", wall="ten") == []
+
+
+@pytest.mark.parametrize(("interval", "count"), [("51 ms", 1), ("50 ms", 0)])
+def test_plan_reports_an_output_interval_above_the_duration(tmp_path, interval, count):
+    plan = plan_for(scene_of(tmp_path, f"output.interval={interval}"))
+    assert sum("output.interval" in each and "at most 0.05 s" in each for each in plan.warnings) == count
 
 
 def test_a_drum_at_180_rad_per_second_is_reported():

@@ -1,5 +1,7 @@
 """Groups of clumps: counts and masses, orientations, messages about invalid combinations, `explain`."""
 
+import re
+
 import numpy as np
 import pytest
 from clumps import ROD, about, clump_group
@@ -13,6 +15,7 @@ from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
 from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
+from granflow.plan.forecast.regions import particle_warnings
 from granflow.runs.ranks import refuse_on_ranks
 
 REGION = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}}
@@ -129,3 +132,42 @@ def test_clumps_side_by_side_do_not_overlap_although_the_spheres_around_them_do(
     """Parallel rods with a radius of 2 mm, 4.5 mm apart; the spheres around them have a radius of 5 mm."""
     scene = build_scene({"rods": clump_group([[0, 0, 0], [0, 4.5e-3, 0]])})
     refuse_initial_overlaps(scene, initial_particles(scene))
+
+
+def floored(group, height):
+    """Warnings about clumps inside a floor at a height [m]: for positions, and for a region."""
+    scene = build_scene({"rods": group}, walls={"floor": plane([0.0, 0.0, height], [0.0, 0.0, 1.0])})
+    plan = plan_for(scene)
+    region = [each for each in plan.warnings if "of the positions in the region" in each]
+    return [*region, *particle_warnings(scene, plan, initial_particles(scene))]
+
+
+def test_only_rods_whose_spheres_are_inside_a_wall_are_reported():
+    """Rods of radius 2 mm and length 10 mm, 2.5 mm above a floor: lying at a gap of 0.5 mm; a standing one has a sphere
+
+    center 0.5 mm below the floor, an overlap of 2.5 mm or 1.25 R; one inclined by 30 degrees has its center at 1 mm,
+    an overlap of 1 mm.
+    """
+    at = [[0.0, 0.0, 2.5e-3]]
+    assert floored(clump_group(at), 0.0) == []
+    for degrees, overlap in ((90.0, 1.25), (30.0, 0.5)):
+        (warning,) = floored(clump_group(at, orientation=about([0, 1, 0], degrees)), 0.0)
+        assert f"1 of 1 particles are inside walls.floor at the start, by up to {overlap:.3g} of the radius" in warning
+    both = clump_group(
+        [[0.0, 0.0, 2.5e-3], [0.02, 0.0, 2.5e-3]], orientation=[about([0, 1, 0], a) for a in (0.0, 90.0)]
+    )
+    assert "1 of 2 particles" in floored(both, 0.0)[0]
+
+
+@pytest.mark.parametrize(("degrees", "share"), [(0.0, 0.0), (90.0, 0.28)])
+def test_share_of_positions_inside_a_wall_refers_to_the_spheres_of_clumps(degrees, share):
+    """Centers of rods are 5 to 15 mm above the bottom of the region, 2 to 12 mm above the floor.
+
+    Overlaps above 0.1 R start at 1.8 mm: none of the lying rods, and the standing ones up to 3 + 1.8 mm, 28 %.
+    """
+    group = clump_group([[0.0, 0.0, 0.0]], orientation=about([0, 1, 0], degrees)) | {"count": 3}
+    region = {"box": {"min": [0.0, 0.0, 0.0], "max": [0.04, 0.04, 0.02]}}
+    found = floored(group | {"insert": {"kind": "pack", "region": region}}, 3e-3)
+    assert len(found) == (share > 0.0)
+    if found:
+        assert float(re.search(r"([0-9.]+) % of the positions", found[0])[1]) == pytest.approx(100.0 * share, abs=3.0)

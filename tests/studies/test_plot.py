@@ -128,6 +128,7 @@ def test_the_page_contains_the_points_and_titles(run, tmp_path):
     figure = json.loads(re.search(r'<script type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1])
     assert figure["data"][0]["x"] == [0.0, 0.02, 0.08] and figure["data"][0]["y"] == [0.0, 2e3, 4e3]
     assert figure["layout"]["xaxis"]["title"]["text"] == "wall_displacement.lid / 0.05"
+    assert figure["layout"]["xaxis"]["range"] == [0.0, 0.08]
     assert figure["layout"]["yaxis"]["type"] == "log"
     assert figure["layout"]["yaxis"]["title"]["text"] == "stress (Pa)"
 

@@ -157,6 +157,9 @@ def test_overlay_shows_the_series_of_all_runs(tmp_path):
     assert set(plot.figure["data"][1]["y"]) == {2.0}
     labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
     assert labels == ["mass flow, out", "flow mass, out"]
+    plot = series_overlay(runs, ["flow_mass.out", "mass_flow.out"], "x")
+    labels = [button["label"] for button in plot.figure["layout"]["updatemenus"][0]["buttons"]]
+    assert labels == ["flow mass, out", "mass flow, out"]
 
 
 def test_overlay_shows_angles_in_degrees(tmp_path):
@@ -227,6 +230,7 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
     result = result_of(search, found.targets)
     friction, restitution = result.parameters
     assert restitution.value == pytest.approx(0.62, abs=0.02) and not restitution.not_identified
+    assert restitution.optimum == pytest.approx(0.62, abs=3.0 * restitution.deviation) and np.isnan(friction.optimum)
     assert friction.not_identified.startswith(
         "friction cannot be identified from the targets: none of them responds to it between its bounds by more than "
         "the scatter between runs; energy changes by "

@@ -10,6 +10,8 @@ import time
 import pytest
 from studies.sweep_files import SCENE, SWEEP, write_sweep
 
+from granflow.io.lock import locked
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3000)]
 
 TWELVE = """\
@@ -88,14 +90,18 @@ def test_killed_sweep_continues_to_the_same_table(home):
 
 
 def test_interrupted_sweep_stops_with_a_table_and_continues(home):
+    """The third run cannot start, because its directory is locked; then the sweep is stopped."""
     folder, _ = home
+    third = folder / "stopped" / "runs" / table(folder, "local")[2]["runs"]
+    third.mkdir(parents=True)
     command = [sys.executable, "-m", "granflow", "sweep", "sweep.yaml", "--out", "stopped", "--jobs", "1"]
-    driver = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    while not results(folder, "stopped"):
-        assert driver.poll() is None
-        time.sleep(0.1)
-    driver.send_signal(signal.SIGINT)
-    _, messages = driver.communicate(timeout=300)
+    with locked(third):
+        driver = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        while len(results(folder, "stopped")) < 2:
+            assert driver.poll() is None
+            time.sleep(0.1)
+        driver.send_signal(signal.SIGINT)
+        _, messages = driver.communicate(timeout=300)
     assert driver.returncode == 130 and "repeating the command continues it" in messages
     assert "not run" in {row["status"] for row in table(folder, "stopped")}
     granflow(folder, "sweep", "sweep.yaml", "--out", "stopped")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from granflow.load import Scene
-from granflow.plan.forecast.drop import forecast_velocity
+from granflow.plan.forecast.drop import forecast_velocity, path_velocity
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
 from granflow.plan.forecast.insertion import insertion_warnings
@@ -12,7 +12,7 @@ from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
 from granflow.plan.forecast.regions import region_warnings
 from granflow.plan.forecast.servos import servo_warnings
-from granflow.plan.forecast.times import nominal_times
+from granflow.plan.forecast.times import interval_warnings, nominal_times
 from granflow.plan.forecast.units import unit_warnings
 from granflow.plan.forecast.walls import size_warnings, wall_warnings
 from granflow.plan.plan import Plan
@@ -23,6 +23,9 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
     pairs, times = list(touching_pairs(plan)), nominal_times(plan.stages)
     expected = forecast_velocity(scene, plan)
     impact = impact_forecast(plan, pairs, expected.value, expected.source)
+    if impact is not None and impact.warning is not None:  # the paths over the walls take time
+        expected = path_velocity(scene, plan)
+        impact = impact_forecast(plan, pairs, expected.value, expected.source)
     if impact is not None:
         yield impact
     static = list(static_forecasts(plan, pairs, bed_pressures(scene, plan)))
@@ -35,6 +38,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),
+        *interval_warnings(scene, times),
         *unit_warnings(scene),
     ):
         yield Forecast("", "", sentence, sentence)

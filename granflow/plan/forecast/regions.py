@@ -8,7 +8,7 @@ from granflow.geometry.catalog import distance_from
 from granflow.geometry.motion import pose
 from granflow.load import Scene
 from granflow.particles.insertion import insertion_region
-from granflow.particles.particle_data import ParticleData
+from granflow.particles.particle_data import ParticleData, orientations
 from granflow.particles.regions import RegionSampler, sampler_of
 from granflow.plan.forecast.times import is_present, nominal_times
 from granflow.plan.plan import Plan
@@ -31,8 +31,9 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
+        bodies = _bodies(group, points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
-        for wall, overlap in _overlaps(plan.walls, points, np.full(SAMPLES, radius), start, times):
+        for wall, overlap in _overlaps(plan.walls, bodies, start, times):
             share = float(np.mean(overlap > plan.max_overlap))
             if share > 0.0:
                 yield (
@@ -52,8 +53,9 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
         own = np.flatnonzero(particles.group == number)
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
-        points, radius = particles.position[own], particles.radius[own]
-        for wall, overlap in _overlaps(plan.walls, points, radius, 0.0, times):
+        points, turns = particles.position[own], particles.orientation
+        bodies = _bodies(group, points, particles.radius[own], None if turns is None else turns[own])
+        for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
             count = int((overlap > plan.max_overlap).sum())
             if count:
                 worst = int(overlap.argmax())
@@ -75,16 +77,36 @@ def region_of(group: Group) -> RegionSampler | None:
     return None
 
 
+def _bodies(
+    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
+
+    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
+    """
+    if group.clump is None:
+        return points[:, None], radius[:, None]
+    shape = group.clump.shape
+    if orientation is None:
+        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
+    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))
+
+
 def _overlaps(
-    walls: Sequence[PlannedWall], points: np.ndarray, radius: np.ndarray, time: float, times: StageTimes
+    walls: Sequence[PlannedWall], bodies: tuple[np.ndarray, np.ndarray], time: float, times: StageTimes
 ) -> Iterator[tuple[PlannedWall, np.ndarray]]:
-    """For each wall that is present at `time` [s]: overlap over the radius (n,) of spheres at `points` (n, 3) [m]."""
+    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a particle.
+
+    `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
+    """
+    points, radius = bodies[0].reshape(-1, 3), bodies[1].reshape(-1)
     for wall in walls:
         if not is_present(wall, time, times):
             continue
         at = pose([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
         local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
-        yield wall, 1.0 - distance_from(wall.shape, local, float(radius.max())) / radius
+        overlap = 1.0 - distance_from(wall.shape, local, float(radius.max())) / radius
+        yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
 
 
 def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:

@@ -28,7 +28,7 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
                 f"materials.{name}.density ({where}) is {material.density:.3g} kg/m3, less than light foams: check "
                 "the unit (2.5 g/cm3 is 2500 kg/m3)."
             )
-    yield from _all_too_hard(scene)
+    yield from _too_hard(scene)
     yield from _unused_cohesion(scene)
     for name, pair in scene.pairs.items():
         if pair.friction > MOST_FRICTION:
@@ -46,15 +46,18 @@ def unit_warnings(scene: Scene) -> Iterator[str]:
             )
 
 
-def _all_too_hard(scene: Scene) -> Iterator[str]:
-    """A sentence on the softest material if all are harder than diamond; a hard one beside a softer one is rigid."""
-    name = min(scene.materials, key=lambda each: scene.materials[each].young_modulus)
-    modulus = scene.materials[name].young_modulus
-    if modulus > HARDEST:
-        yield (
-            f"materials.{name}.young_modulus ({scene.where('materials', name, 'young_modulus')}) is "
-            f"{pressure_words(modulus)}, more than that of diamond: check the unit (1 N/mm2 is 1 MPa)."
-        )
+def _too_hard(scene: Scene) -> Iterator[str]:
+    """A sentence for each material of mobile particles that is harder than diamond.
+
+    Walls and fixed particles of such a material are rigid, which is often intended.
+    """
+    for name in dict.fromkeys(group.material for group in scene.particles.values() if not group.fixed):
+        modulus = scene.materials[name].young_modulus
+        if modulus > HARDEST:
+            yield (
+                f"materials.{name}.young_modulus ({scene.where('materials', name, 'young_modulus')}) is "
+                f"{pressure_words(modulus)}, more than that of diamond: check the unit (1 N/mm2 is 1 MPa)."
+            )
 
 
 def _unused_cohesion(scene: Scene) -> Iterator[str]:

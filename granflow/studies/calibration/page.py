@@ -44,11 +44,11 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, 
 
 
 def _best(result: CalibrationResult) -> PageTable:
-    """Best values with their standard deviations."""
+    """Best values, optima of the fit and their standard deviations."""
     rows = [
         (each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters
     ]  # fmt: skip
-    return PageTable(("parameter", "best value", "standard deviation", "identified"), rows)
+    return PageTable(("parameter", "best trial", "optimum of the fit", "standard deviation", "identified"), rows)
 
 
 def _targets(result: CalibrationResult) -> PageTable:

@@ -50,12 +50,14 @@ def write_plot(path: Path, panels: Sequence[Panel], logarithmic: str, title: str
 
 def _draw(figure: Any, panels: Sequence[Panel], logarithmic: str) -> None:
     """Draw the panels on an empty matplotlib figure."""
-    for panel, axes in zip(panels, figure.subplots(len(panels), squeeze=False)[:, 0], strict=True):
+    rows = figure.subplots(len(panels), squeeze=False, sharex=True)[:, 0]
+    for panel, axes in zip(panels, rows, strict=True):
         for number, curve in enumerate(panel.curves):
             look = {"color": COLORS[number % len(COLORS)], "linestyle": LINE_STYLES[number // len(COLORS)]}
             point = {"marker": "o", "markersize": 3.0} if len(curve.x) == 1 else {}
             axes.plot(curve.x, curve.y, label=_without_formulas(curve.name), **look, **point)
         axes.set_xlabel(_without_formulas(panel.x_title))
+        axes.tick_params(labelbottom=True)
         axes.set_ylabel(_without_formulas(panel.y_title))
         for axis in logarithmic:
             getattr(axes, f"set_{axis}scale")("log")
@@ -74,7 +76,17 @@ def _write_page(path: Path, panels: Sequence[Panel], logarithmic: str, title: st
     if not script:
         raise GranflowError("Interactive plots require plotly, which is not installed: pip install granflow[plot]")
     plots = [_plot(panel, logarithmic) for panel in panels]
+    if "x" not in logarithmic:
+        _share_x(plots, np.concatenate([curve.x for panel in panels for curve in panel.curves]))
     write_page(path, "plot.html", plotly=script, title=title, plots=plots)
+
+
+def _share_x(plots: Sequence[Plot], x: np.ndarray) -> None:
+    """Give all plots the range of x, since curves may begin late or end early."""
+    known = x[np.isfinite(x)]
+    if len(known) and known.min() < known.max():
+        for plot in plots:
+            plot.figure["layout"]["xaxis"]["range"] = [float(known.min()), float(known.max())]
 
 
 def _plot(panel: Panel, logarithmic: str) -> Plot:

@@ -13,8 +13,8 @@ from granflow.fields import (
 from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
 from granflow.scene.suggest import nearest
 
-PHASES = ("neighbor_list", "forces", "integration", "output", "compile")
-"""Phases of a run with a wall-clock time, `timings.PHASE`."""
+PHASES = ("neighbor_list", "forces", "integration", "output", "compile", "exchange", "waiting")
+"""Phases of a run with a wall-clock time, `timings.PHASE`; the last two on MPI ranks."""
 
 
 def result_names(scene: Scene) -> tuple[str, ...]:

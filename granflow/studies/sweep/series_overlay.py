@@ -62,10 +62,11 @@ def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str
 
 
 def _columns(found: Sequence[TimeSeriesTable], first: Sequence[str]) -> list[SeriesColumn]:
-    """The columns that all runs have, those in `first` first; at most MOST_COLUMNS."""
+    """The columns that all runs have, those in `first` first and in its order; at most MOST_COLUMNS."""
     common = set.intersection(*({column.name for column in series.columns} for series in found))
     columns = [column for column in found[0].columns if column.name in common]
-    return sorted(columns, key=lambda column: column.name not in first)[:MOST_COLUMNS]
+    places = {name: place for place, name in enumerate(first)}
+    return sorted(columns, key=lambda column: places.get(column.name, len(places)))[:MOST_COLUMNS]
 
 
 def _curve(series: TimeSeriesTable, name: str) -> tuple[list[Any], list[Any]]:
