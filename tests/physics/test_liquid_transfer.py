@@ -10,6 +10,7 @@ from scipy.integrate import quad
 
 from granflow.errors import GranflowError, RunError
 from granflow.plan.build import plan_for
+from granflow.runs.read_run import read_run
 
 DIAMETER, DENSITY = 0.004, 2500.0
 MASS, SPHERE = DENSITY * math.pi / 6.0 * DIAMETER**3, math.pi / 6.0 * DIAMETER**3
@@ -202,6 +203,44 @@ def by_id(last):
     order = np.argsort(last.particles["id"])
     arrays = {name: last.particles[name][order] for name in ("position", "velocity", "liquid_film")}
     return arrays | {"bridges": last.totals["liquid_bridge_volume"]}
+
+
+def test_liquid_is_conserved_exactly_across_periodic_faces_with_wide_sizes_and_fixed_particles(taichi_f64):
+    rng = np.random.default_rng(5)
+    positions = 0.005 * (np.argwhere(np.ones((7, 7, 5))) + 0.5)
+    small = particle_group(positions, 0.003, velocity=rng.normal(0.0, 0.5, positions.shape), liquid_content=0.02)
+    large = particle_group([[0.018, 0.018, 0.036]], 0.015, velocity=[[0.0, 0.0, -1.0]], liquid_content=0.001)
+    row = particle_group([[0.004 * k + 0.002, 0.018, 0.05] for k in range(9)], 0.0039, liquid_content=0.0)
+    scene = wet_scene(
+        {"small": small, "large": large, "row": row | {"fixed": True}}, max_bridge_volume=1e-11, tension=0.01,
+        pair={"friction": 0.3, "restitution": 0.8}, numerics={"chunk_size": 16},
+        domain={"min": [0.0] * 3, "max": [0.036, 0.036, 0.06], "periodic": ["x", "y", "z"], "on_exit": "error"},
+        run={"duration": 0.03, "time_step": 2e-6, "velocity_max": 3.0},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.001)
+    totals = [liquid(snapshot) for snapshot in snapshots]
+    content = 245 * 0.02 * 0.003**3 + 0.001 * 0.015**3
+    assert totals[0] == pytest.approx(math.pi / 6.0 * content, rel=1e-12)
+    assert set(totals) == {totals[0]}
+    films = column(snapshots, "liquid_film")
+    assert films.min() >= 0.0 and (films[-1, -9:] > 0.0).any(), "fixed particles get liquid"
+    assert len({snapshot.totals["liquid_bridge_volume"] for snapshot in snapshots}) > 10
+
+
+def test_frames_and_time_series_contain_films_and_bridges(taichi_f64, tmp_path):
+    scene = wet_scene(
+        approaching((DIAMETER, DIAMETER), (CONTENT, 0.0)), output={"interval": 0.0002, "contacts": True},
+        run={"duration": 0.0002, "time_step": 2e-6, "velocity_max": 1.0},
+    )  # fmt: skip
+    run_to_end(scene, out=tmp_path / "out")
+    run, taken = read_run(tmp_path / "out"), CONTENT * SPHERE * share(1.0, 1.0)
+    frame = run.frames[-1]
+    assert frame.particles["liquid_film"].dtype == np.float64
+    np.testing.assert_allclose(frame.particles["liquid_film"], [CONTENT * SPHERE - taken, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(run.contacts[-1]["cohesion_bridge_volume"], [taken], rtol=1e-6)
+    series = run.timeseries_arrays
+    assert series["liquid_film_volume"][0] == pytest.approx(CONTENT * SPHERE, rel=1e-9)
+    assert series["liquid_bridge_volume"][-1] == pytest.approx(taken, rel=1e-9)
 
 
 def test_removed_wall_returns_the_liquid_of_its_bridges(taichi_f64):
