@@ -227,6 +227,35 @@ def test_liquid_is_conserved_exactly_across_periodic_faces_with_wide_sizes_and_f
     assert len({snapshot.totals["liquid_bridge_volume"] for snapshot in snapshots}) > 10
 
 
+@pytest.mark.parametrize("chunk_size", [1, 16])
+def test_dry_rain_in_the_place_of_deleted_particles_brings_no_liquid(taichi_f64, chunk_size):
+    """Inserted particles take array entries of deleted ones, but no contacts from their lists."""
+    rng = np.random.default_rng(7)
+    positions = 0.0045 * (np.argwhere(np.ones((4, 4, 6))) + 0.6)
+    up = positions[:, 2] > 0.015
+    bed = particle_group(
+        positions[~up], DIAMETER, velocity=rng.normal(0.0, 0.3, ((~up).sum(), 3)), liquid_content=CONTENT
+    )
+    leaving = particle_group(
+        positions[up], DIAMETER, velocity=[[0.0, 0.0, 2.0]] * int(up.sum()), liquid_content=CONTENT
+    )
+    region = {"box": {"min": [0.002, 0.002, 0.03], "max": [0.017, 0.017, 0.037]}}
+    insertion = {"kind": "rain", "region": region, "rate": 4000.0, "start": 0.012}
+    rain = {"material": "glass", "count": 40, "diameter": DIAMETER, "liquid_content": 0.0, "insert": insertion}
+    walls = {name: wall for name, wall in vibrating_box(0.019).items() if name != "high_z"}
+    scene = wet_scene(
+        {"leaving": leaving, "bed": bed, "rain": rain}, walls, max_bridge_volume=1e-11, tension=0.01,
+        pair={"friction": 0.3, "restitution": 0.8}, gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": chunk_size},
+        domain={"min": [-0.01] * 3, "max": [0.03, 0.03, 0.04], "on_exit": "delete"},
+        run={"duration": 0.05, "time_step": 4e-6, "velocity_max": 3.0},
+    )  # fmt: skip
+    snapshots = run_and_sample(scene, 0.001)
+    assert snapshots[-1].totals["deleted_count"] == up.sum() and snapshots[-1].totals["inserted_count"] > 96 + 10
+    after = [liquid(snapshot) for snapshot in snapshots if snapshot.totals["deleted_count"] == up.sum()]
+    assert len(after) > 30 and set(after) == {after[0]}
+    assert after[0] < 96 * CONTENT * SPHERE
+
+
 def test_frames_and_time_series_contain_films_and_bridges(taichi_f64, tmp_path):
     scene = wet_scene(
         approaching((DIAMETER, DIAMETER), (CONTENT, 0.0)), output={"interval": 0.0002, "contacts": True},

@@ -121,16 +121,17 @@ def build_prepare_films(state: State) -> Any:
 
     @ti.func
     def end_if_removed(chunk, i, j, list_index):
-        if neighbors.in_contact[list_index] == IN_CONTACT and walls.present[wall_of(j)] == 0:
-            return_liquid(chunk, i, j, list_index)
-            for name in ti.static(names):
-                neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
-            neighbors.in_contact[list_index] = NO_CONTACT
+        if j < 0 and neighbors.in_contact[list_index] == IN_CONTACT:
+            if walls.present[wall_of(j)] == 0:
+                return_liquid(chunk, i, j, list_index)
+                for name in ti.static(names):
+                    neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
+                neighbors.in_contact[list_index] = NO_CONTACT
 
     @ti.func
     def prepare_films(chunk, i):
         if ti.static(has_walls):
-            for list_index in range(neighbors.list_begin[i], neighbors.list_walls_end[i]):
+            for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                 end_if_removed(chunk, i, neighbors.partner[list_index], list_index)
         particles.liquid_film_before[i] = particles.liquid_film[i]
 
