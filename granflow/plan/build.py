@@ -15,6 +15,7 @@ from granflow.plan.damping import planned_damping, refuse_unresolved_drag
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import features_of, reasons_for
 from granflow.plan.forecast.build import forecasts_of
+from granflow.plan.liquid import refuse_coarse_liquid
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
@@ -87,6 +88,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     features = features_of(scene, models, law.rate_dependent)
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
+    refuse_coarse_liquid(scene, features.liquid_transfer)
     pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
