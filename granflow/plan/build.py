@@ -124,6 +124,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
         adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, adhesion)),
     )
     _refuse_fast(scene, plan, speeds)
+    _refuse_collision_energies(scene, plan)
     return replace(plan, forecasts=tuple(forecasts_of(scene, plan)))
 
 
@@ -184,6 +185,16 @@ def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> 
     refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
     image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
     refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
+
+
+def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
+    """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
+    if plan.features.collision_energies and not plan.history:
+        raise SceneError(
+            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact model with a "
+            f"history, and contact.normal {scene.contact.name('normal')} without friction has none. Give a pair a "
+            "friction above 0, set contact.normal to zhou, or remove the block."
+        )
 
 
 def _used_materials(scene: Scene) -> tuple[str, ...]:

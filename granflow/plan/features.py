@@ -37,6 +37,7 @@ class Features:
     one_material: bool
     energy_budget: bool
     wall_forces: bool
+    collision_energies: bool
     adaptive_step: bool
     periodic: str
     """Periodic axes, such as "x, y", or "none"."""
@@ -86,6 +87,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         energy_budget=scene.output.energy_budget,
         wall_forces=bool(scene.measured_walls),
+        collision_energies=scene.output.collision_energies is not None,
         adaptive_step=scene.run.time_step == "adaptive",
         periodic=", ".join(scene.domain.periodic) or "none",
         lees_edwards=scene.domain.lees_edwards is not None,
@@ -129,6 +131,8 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
             f"({scene.where('output', 'energy_budget')})"
         ),
         "wall_forces": _wall_forces_reason(scene, features),
+        "collision_energies": f"output.collision_energies is {'given' if features.collision_energies else 'absent'} "
+        f"({scene.where('output', 'collision_energies')})",
         "adaptive_step": _time_step_reason(scene),
         "periodic": f"domain.periodic ({scene.where('domain', 'periodic')})"
         if scene.domain.periodic

@@ -47,7 +47,7 @@ def complex_scene():
     }  # fmt: skip
     return falling_lattice(
         {"rain": rain}, numerics={"chunk_size": 64}, run={"duration": 0.03, "velocity_max": 2.0, "time_step": 2e-6},
-        output={"interval": 1.0, "wall_forces": True},
+        output={"interval": 1.0, "wall_forces": True, "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}},
     )  # fmt: skip
 
 
@@ -65,7 +65,7 @@ def fingerprint(threads, in_parallel, precision="f64"):
         backend.worker_count = lambda requested: (requested, "")
     last, simulation = run_to_end(complex_scene(), threads=threads, precision=precision)
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.rebuild_count)
-    return [digest_of(last, *last.impulses.values()), *counts]
+    return [digest_of(last, *last.impulses.values(), *last.collisions.values()), *counts]
 
 
 def test_results_are_bit_identical_for_any_thread_count():

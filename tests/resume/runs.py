@@ -14,9 +14,10 @@ MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequ
 def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, **parts):
     """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
 
-    Friction, rolling springs, the energy budget, a flow meter, fields and metrics are enabled. A row of fixed particles
-    lies in the gate, which is removed after the first stage; an inlet inserts particles through a face. The floor and
-    one side wall are removed after the second stage; particles are deleted at `domain.max` before they reach that wall.
+    Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are enabled. A
+    row of fixed particles lies in the gate, which is removed after the first stage; an inlet inserts particles through
+    a face. The floor and one side wall are removed after the second stage; particles are deleted at `domain.max` before
+    they reach that wall.
 
     of_groups:  further keys of all groups
     """
@@ -62,7 +63,7 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, **pa
         "domain": {"min": [-0.01, -0.01, -0.03], "max": [0.0576, 0.07, 0.07], "on_exit": "delete"},
         "output": {
             "interval": duration / 7.0, "timeseries_interval": duration / 31.0, "energy_budget": True, "contacts": True,
-            "wall_forces": True,
+            "wall_forces": True, "collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14},
             "checkpoint": {"interval": duration / 11.0, "keep": 100},
             "flow_meters": {"outlet": {"point": [0.03, 0.03, 0.02], "normal": [0, 0, -1]}},
             "metrics": {

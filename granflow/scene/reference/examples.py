@@ -109,6 +109,8 @@ PART_EXAMPLES = {
     "Box.min": "[0, 0, 0]",
     "Box.max": "[40 mm, 40 mm, 80 mm]",
     "Checkpoints.interval": "0.5 s",
+    "CollisionEnergies.min": "1 nJ",
+    "CollisionEnergies.max": "1 mJ",
     "FileSummary.speed_max": "0.5 m/s",
     "FileSummary.diameter_min": "3 mm",
     "FileSummary.overlap_max": "0.01",
