@@ -46,8 +46,8 @@ def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
             warning = (
                 f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, {0.5 * round(2.0 * ratio):g} times "
                 f"the period {period:.4g} s of {wall}: the output shows this motion at two opposite phases only, which "
-                f"can be the same position of the wall. Set the interval to {period / FRAMES_PER_PERIOD:.3g} s or less, "
-                f"{FRAMES_PER_PERIOD} times per period, or to {period:.4g} s for one fixed phase."
+                f"can be the same position of the wall. Set the interval to {period / FRAMES_PER_PERIOD:.3g} s or "
+                f"less, {FRAMES_PER_PERIOD} times per period, or to {period:.4g} s for one fixed phase."
             )
             remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
             yield Forecast("vibration in the output", f"{1.0 / ratio:.3g} per period", remark, warning if odd else None)
