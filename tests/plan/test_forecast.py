@@ -178,17 +178,17 @@ def test_servo_that_moves_too_slowly_is_reported_with_a_sufficient_velocity():
 
 
 def test_wall_far_outside_the_domain_is_reported(tmp_path):
-    """22 in place of 22 mm: the surface of the cylinder is 22 m from its axis."""
-    tube = "{shape: cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22, material: glass}"
-    (warning,) = warnings_of(scene_of(tmp_path, f"walls.tube={tube}"))
+    """22 in place of 22 mm: the plate is 22 m above a domain that ends at 30 mm."""
+    plate = "{shape: rectangle, corner: [0, 0, 22], sides: [[1 cm, 0, 0], [0, 1 cm, 0]], material: glass}"
+    (warning,) = warnings_of(scene_of(tmp_path, f"walls.plate={plate}"))
     assert float(warning.split("is at least ")[1].split(" m outside")[0]) == pytest.approx(22.0, rel=0.01)
-    assert warnings_of(scene_of(tmp_path, f"walls.tube={tube.replace('radius: 22', 'radius: 22 mm')}")) == []
+    assert warnings_of(scene_of(tmp_path, f"walls.plate={plate.replace('22]', '22 mm]')}")) == []
 
 
 def test_particles_larger_than_the_domain_are_reported(tmp_path):
     point = "{kind: positions, positions: [[1 cm, 1 cm, 1 cm]]}"
     ball = f"{{material: glass, count: 1, diameter: 4, insert: {point}}}"
-    assert any("particles.ball" in each and "larger than the domain" in each
+    assert any("particles.ball.diameter" in each and "100 times the longest side of the domain" in each
                for each in warnings_of(scene_of(tmp_path, f"particles.ball={ball}")))  # fmt: skip
 
 

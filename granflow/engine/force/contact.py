@@ -43,10 +43,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     """
     transfers = with_wall and transfers_history(state)
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    angular_velocities_of, check_overlap = (
-        _build_angular_velocities(state, with_wall),
-        _build_check_overlap(state, with_wall),
-    )
+    angular_velocities_of = _build_angular_velocities(state, with_wall)
+    check_overlap = _build_check_overlap(state, with_wall)
     pair_constants, in_range = build_pair_constants(state), build_in_range(state)
     acts_at_distance = state.plan.laws.acts_at_distance
     distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
