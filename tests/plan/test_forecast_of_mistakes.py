@@ -76,3 +76,16 @@ def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
 
 def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
     assert warnings_of(scene_of(tmp_path, "output.interval=20 ms", "run.duration=1 s")) == []
+
+
+@pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
+def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocity, count):
+    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the limit."""
+    region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
+    overrides = [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}"]
+    found = [each for each in warnings_of(scene_of(tmp_path, *overrides)) if "run.velocity_max (" in each]
+    assert len(found) == count
+    fall = (2.0 * 9.81 * 0.03) ** 0.5
+    assert all(f"particles.beads can fall 0.03 m and reach {fall:.3g} m/s" in each for each in found)
+    damped = warnings_of(scene_of(tmp_path, *overrides, "damping={drag: 20 1/s}"))
+    assert not [each for each in damped if "run.velocity_max (" in each]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from granflow.load import Scene
-from granflow.plan.forecast.drop import forecast_velocity, path_velocity
+from granflow.plan.forecast.drop import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
 from granflow.plan.forecast.insertion import insertion_warnings
@@ -43,5 +43,6 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *insertion_warnings(scene, plan, times),
         *interval_warnings(scene, times),
         *unit_warnings(scene),
+        *velocity_warnings(scene, plan),
     ):
         yield Forecast("", "", sentence, sentence)
