@@ -85,8 +85,8 @@ def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
 def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
     """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted particles.
 
-    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and damping excludes
-    the warning.
+    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and damping
+    excludes the warning.
     """
     given = scene.run.velocity_max
     if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
@@ -101,9 +101,9 @@ def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
     fall = sqrt(2.0 * magnitude * heights[name])
     if given < SLOW * fall:
         yield (
-            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but particles.{name} can fall "
-            f"{heights[name]:.3g} m and reach {fall:.3g} m/s: time step and forecasts are those of slower impacts. Check "
-            f"the unit, or set it to {fall:.2g} m/s."
+            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but particles.{name} can "
+            f"fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and forecasts are those of slower "
+            f"impacts. Check the unit, or set it to {fall:.2g} m/s."
         )
 
 
