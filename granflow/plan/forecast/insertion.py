@@ -55,8 +55,8 @@ def inlet_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
         if required > largest > 0.0:
             key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
             yield (
-                f"{key}: {required:.3g} particles per second are required, but at most about {largest:.2g} leave the face "
-                "in a second; the others are queued. Enlarge the face, raise particles."
+                f"{key}: {required:.3g} particles per second are required, but at most about {largest:.2g} leave the "
+                "face in a second; the others are queued. Enlarge the face, raise particles."
                 f"{name}.velocity, or lower the {'rate' if insertion.rate else 'mass_flow'}."
             )
 
