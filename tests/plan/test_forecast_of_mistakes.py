@@ -1,9 +1,12 @@
-"""Forecasts of probable mistakes: lengths with a wrong unit, and output intervals that hide a vibration."""
+"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets that are too small."""
 
+import numpy as np
 import pytest
 from plan.scenes import TEXT, scene_of
 
 from granflow.errors import SceneError
+from granflow.particles.group import groups_of
+from granflow.particles.insertion import Inserter
 from granflow.plan.build import plan_for
 
 
@@ -76,3 +79,50 @@ def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
 
 def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
     assert warnings_of(scene_of(tmp_path, "output.interval=20 ms", "run.duration=1 s")) == []
+
+
+@pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
+def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocity, count):
+    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the limit."""
+    region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
+    overrides = [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}"]
+    found = [each for each in warnings_of(scene_of(tmp_path, *overrides)) if "run.velocity_max (" in each]
+    assert len(found) == count
+    fall = (2.0 * 9.81 * 0.03) ** 0.5
+    assert all(f"particles.beads can fall 0.03 m and reach {fall:.3g} m/s" in each for each in found)
+    damped = warnings_of(scene_of(tmp_path, *overrides, "damping={drag: 20 1/s}"))
+    assert not [each for each in damped if "run.velocity_max (" in each]
+
+
+def inlet_scene(tmp_path, radius):
+    """Particles of 4 mm enter through a disc with 0.3 m/s downward, 1200 per second."""
+    face = f"{{disc: {{center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -1], radius: {radius} mm}}}}"
+    inlet = f"{{kind: inlet, rate: 1200 1/s, face: {face}}}"
+    jet = f"{{material: glass, count: 300, diameter: 4 mm, velocity: [0, 0, -0.3 m/s], insert: {inlet}}}"
+    return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3")
+
+
+def rate_through(scene):
+    """Particles per second that the inserter of a scene inserts if they fall freely away from the face."""
+    inserter = Inserter(groups_of(scene)["jet"])
+    start, entered = np.zeros((0, 3)), np.zeros(0)
+    while (time := inserter.next_time) < 0.25:
+        fallen = 0.3 * (time - entered) + 0.5 * 9.81 * (time - entered) ** 2
+        present = start - fallen[:, None] * [0.0, 0.0, 1.0]
+        new = inserter.insert_due(time, present, np.full(len(present), 0.002)).position
+        start, entered = np.concatenate([start, new]), np.concatenate([entered, np.full(len(new), time)])
+    return len(start) / 0.25
+
+
+@pytest.mark.parametrize(("radius", "is_too_small"), [(3.0, True), (5.0, True), (10.0, False), (15.0, False)])
+def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
+    """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
+    scene = inlet_scene(tmp_path, radius)
+    found = [each for each in warnings_of(scene) if "are queued" in each]
+    assert len(found) == is_too_small
+    reached = rate_through(scene)
+    if is_too_small:
+        limit = float(found[0].split("at most about ")[1].split(" leave")[0])
+        assert reached < limit < min(1200.0, 3.0 * reached)
+    else:
+        assert reached == pytest.approx(1200.0, rel=0.01)
