@@ -68,7 +68,7 @@ if TYPE_CHECKING:
         Vibration,
     )
     from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
-    from granflow.scene.schema.output import Checkpoints, FlowMeter, Output
+    from granflow.scene.schema.output import Checkpoints, CollisionEnergies, FlowMeter, Output
     from granflow.scene.schema.particles import Group
     from granflow.scene.schema.run import Numerics, RunSettings
     from granflow.scene.schema.shapes import Box
@@ -100,6 +100,7 @@ __all__ = [
     "ClassSizes",
     "Clump",
     "ClumpSphere",
+    "CollisionEnergies",
     "Cone",
     "Contact",
     "ContentMetric",

@@ -105,6 +105,8 @@ class Snapshot:
     totals:     numbers of `TOTAL_QUANTITIES`
     impulses:   time integrals since the start for each measured wall (7,): force [N s], torque [N m s] and normal force
                 [N s] of the particles on the wall
+    collisions: numbers of collisions since the start by energy class (classes + 2,), for contacts with a "particle" and
+                a "wall"; empty without `output.collision_energies`
 
     All arrays and mappings are read-only; an unknown name raises KeyError with those that exist.
 
@@ -121,6 +123,7 @@ class Snapshot:
     walls: Mapping[str, WallPose]
     totals: Mapping[str, float]
     impulses: Mapping[str, np.ndarray] = field(default_factory=dict)
+    collisions: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "particles", _read_only_arrays("particles", self.particles))
@@ -129,6 +132,7 @@ class Snapshot:
         object.__setattr__(self, "walls", _read_only_mapping("walls", self.walls))
         object.__setattr__(self, "totals", _read_only_mapping("totals", self.totals))
         object.__setattr__(self, "impulses", _read_only_arrays("impulses", self.impulses))
+        object.__setattr__(self, "collisions", _read_only_arrays("collisions", self.collisions))
 
     @property
     def is_finite(self) -> bool:
@@ -166,5 +170,6 @@ class Snapshot:
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled; worker processes return snapshots with plain dictionaries.
         contacts = None if self.contacts is None else dict(self.contacts)
-        plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), dict(self.impulses))
+        sums = dict(self.impulses), dict(self.collisions)
+        plain = (dict(self.particles), contacts, dict(self.walls), dict(self.totals), *sums)
         return Snapshot, (self.time, self.step, self.stage, *plain)

@@ -80,8 +80,8 @@ def save(path, simulation):
     """Run to the end and write particles, totals, wall impulses, contact histories and counts."""
     simulation.run()
     last, engine = simulation.snapshot(contacts=True), simulation.engine
-    arrays = {f"{kind}.{name}": np.asarray(value) for kind in ("particles", "contacts", "totals", "impulses")
-              for name, value in getattr(last, kind).items()}  # fmt: skip
+    kinds = ("particles", "contacts", "totals", "impulses", "collisions")
+    arrays = {f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()}
     counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
         counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations(), "owned": engine.owned()}

@@ -22,6 +22,7 @@ FILES = tempfile.TemporaryDirectory()
 """Meshes of this process."""
 
 TIME_STEP = 2e-6
+COLLISIONS = {"collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}}
 
 
 def bed(steps=300, groups=None, **changes):
@@ -33,7 +34,7 @@ def bed(steps=300, groups=None, **changes):
         "gravity": [0.0, 3.0, -9.81],
         "numerics": {"chunk_size": 32, "skin": 2e-4},
         "pair": {"friction": 0.4, "rolling_friction": 0.1, "restitution": 0.5},
-        "output": {"interval": 1.0, "energy_budget": True, "wall_forces": True, "walls": False},
+        "output": {"interval": 1.0, "energy_budget": True, "wall_forces": True, "walls": False} | COLLISIONS,
         "run": {"duration": steps * TIME_STEP, "velocity_max": 4.0, "time_step": TIME_STEP},
         "walls": vibrating_box(0.042),
     }

@@ -36,7 +36,9 @@ def calibrate(options: argparse.Namespace) -> int:
 def show_calibration(result: "CalibrationResult") -> None:
     """Print best values and targets, parameters that cannot be identified, noise, and conflicts of targets."""
     rows = [(each.name, *each.shown) for each in result.parameters]
-    show_table(f"Best values, loss {result.loss:.4g}", ("", "value", "standard deviation"), rows)
+    show_table(
+        f"Best values, loss {result.loss:.4g}", ("", "best trial", "optimum of the fit", "standard deviation"), rows
+    )
     targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
     show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
     for sentence in result.remarks:

@@ -35,6 +35,7 @@ class Control(Fields):
     law_parameters:             one row, the parameters of the contact laws
     losses:                     terms LOSSES of each chunk, see `exact_sums`
     impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
+    collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
     boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
     external_work:              work of external forces of each chunk, see `exact_sums`
     force_parameters:           parameters of all external forces
@@ -59,6 +60,8 @@ class Control(Fields):
         self.pair_constants = block.vector(backend.real, plan.capacities.pairs, count=plan.pair_constants.shape[1])
         self.law_parameters = block.vector(backend.real, 1, count=max(len(plan.law_parameters), 1))
         super().__init__(block.arrays(sum_arrays(plan), backend))
+        edges = max(plan.capacities.energy_classes - 1, 1)
+        self.collision_edges: Any = block.scalar(ti.f64, edges) if plan.features.collision_energies else None
         external, parameters = plan.features.external_forces, parameter_count(plan.external_forces)
         self.force_parameters: Any = block.scalar(ti.f64, max(parameters, 1)) if external else None
         damped = plan.damping is not None
@@ -73,6 +76,8 @@ class Control(Fields):
         write_padded(self.pair_constants, plan.pair_constants)
         if plan.law_parameters:
             write_padded(self.law_parameters, np.array([plan.law_parameters]))
+        if self.collision_edges is not None:
+            write_padded(self.collision_edges, plan.collision_edges)
         self.abort_particle[0] = NO_PARTICLE
         if self.halted_at is not None:
             write_padded(self.halted_at, np.full(2, NOT_HALTED, np.int32))

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.contact import theory
 from granflow.engine.abort_bodies import Body, ContactPair
 from granflow.engine.force.contact_output import candidate_pairs
 from granflow.engine.frozen_masks import mobility_mask
@@ -24,6 +23,7 @@ from granflow.engine.walls import walls_of
 from granflow.geometry.mesh.contact import reference_contact
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
+from granflow.plan.forecast.contact import TouchingPair, impact_velocity
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
 
@@ -162,10 +162,7 @@ def _wall_gaps(
 
 
 def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int) -> ContactPair:
-    """The worst candidate pair, and the longest time step that is stable for its present state.
-
-    impact^2 = approach^2 + (4/5) k d^2.5 / M        (elastic energy of a Hertz contact)
-    """
+    """The worst candidate pair, and the longest time step that is stable for its present state."""
     owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
     first = _body(plan, arrays, owner)
     radius, mass = float(arrays["radius"][owner]), float(arrays["mass"][owner])
@@ -181,15 +178,15 @@ def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: Candida
         second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
     overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
     material = plan.pair_materials[first.material, second.material]
-    stiffness = theory.hertz_stiffness(material.modulus_eff, radius_eff)
-    impact_velocity = float(np.hypot(approach, np.sqrt(0.8 * stiffness / mass_eff) * (overlap * smaller) ** 1.25))
+    touching = TouchingPair("", (first.material, second.material), material, smaller, radius_eff, mass_eff)
+    velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
     material_solid = plan.solids[first.material]
     pair_case = PairCase(
         "", material, radius_eff, mass_eff, radius, smaller, material_solid, _contact_count(candidates, owner, partner)
     )
-    stable = stable_step(pair_case, plan.law, impact_velocity)
+    stable = stable_step(pair_case, plan.law, velocity)
     return ContactPair(
-        first, second, overlap, approach, impact_velocity, stable, smaller, radius_eff, mass_eff,
+        first, second, overlap, approach, velocity, stable, smaller, radius_eff, mass_eff,
         _weight_pressure(plan, arrays),
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ from granflow.engine.accounting import Accounting, mechanical_energy
 from granflow.engine.clump_arrays import CLUMP_MOTION, synchronized_clumps
 from granflow.engine.diagnosis import diagnose
 from granflow.engine.exact_sums import exact_sum
+from granflow.engine.force.collision_counts import collision_counts
 from granflow.engine.force.contact_output import ContactOutput
 from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.force.wall_forces import wall_impulses
@@ -174,8 +175,8 @@ class Readings:
             self.stability_monitor.check(self.time, sums.energies, self.accounting, totals, sums.speed)
         particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
         contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
-        impulses = wall_impulses(self.state)
-        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, impulses)
+        since_start = wall_impulses(self.state), collision_counts(self.state)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
 
     def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
         """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""

@@ -12,7 +12,8 @@ from granflow.plan.device_arrays import DeviceArray, saved_arrays, sum_arrays, w
 from granflow.plan.plan import Plan
 
 OTHER_FEATURES = (
-    "Friction, rolling friction, the energy budget and wall forces cannot be switched on or off in a resumed run."
+    "Friction, rolling friction, the energy budget, wall forces and collision energies cannot be switched on or off in "
+    "a resumed run."
 )
 """End of messages on arrays that do not match those of the scene."""
 

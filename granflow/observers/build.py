@@ -13,6 +13,7 @@ from granflow.observers.base import Observer
 from granflow.observers.coarse_graining.field_frames import FieldFrames
 from granflow.observers.coarse_graining.field_grid import grid_for
 from granflow.observers.coarse_graining.kernel import GaussianKernel
+from granflow.observers.collision_energies import CollisionEnergies
 from granflow.observers.flow_meters import FlowMeter
 from granflow.observers.metrics.build import metric_meters
 from granflow.observers.progress import ProgressDisplay
@@ -32,8 +33,8 @@ def observers_for(
     """Return the observers of the output block, and the progress display if `progress`.
 
     `writer` writes the frames, at once by default; `write_pieces`: see `runs.rank_frames`; None without MPI ranks.
-    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`. Without
-    `out_dir`, only the time series, without a file, if it has meters.
+    Order: time series, particle frames, contact frames, wall frames, one per block of `output.fields`, collisions.
+    Without `out_dir`, only the time series, without a file, if it has meters.
     """
     output = plan.output
     observers: list[Observer] = []
@@ -62,6 +63,8 @@ def observers_for(
         )
     if out_dir is not None:
         observers += [field_frames(plan, name, spec, out_dir, writer) for name, spec in output.fields.items()]
+    if out_dir is not None and output.collision_energies is not None:
+        observers.append(CollisionEnergies(out_dir, output.interval, plan.collision_edges))
     if progress:
         observers.append(ProgressDisplay([(stage.name, stage.longest) for stage in plan.stages]))
     return observers

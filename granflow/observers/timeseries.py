@@ -1,9 +1,7 @@
 """Writes `timeseries.csv`: one row of numbers per due time."""
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from granflow.fields import (
     WALL_FORCE_QUANTITIES,
     WALL_QUANTITIES,
 )
-from granflow.io.tables import csv_line
+from granflow.io.row_file import RowFile
 from granflow.observers.base import PARTICLES, TOTALS
 from granflow.observers.flow_meters import FlowCount, FlowMeter
 from granflow.observers.metrics.meter import MetricMeter
@@ -28,6 +26,9 @@ READINGS = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **METRIC_QUANTITIE
 
 PARTS = {**OUTLET_QUANTITIES, **WALL_QUANTITIES}
 """Totals of one outlet or wall, named `NAME.PART`."""
+
+NO_ROWS = {"size": 0, "unwritten": ""}
+"""State of the rows without a file."""
 
 
 Meter = FlowMeter | WallForceMeter | MetricMeter
@@ -71,11 +72,9 @@ class TimeSeries(ScheduledObserver):
         self.wants = frozenset({TOTALS, PARTICLES} if flow_meters else {TOTALS})
         self.wants = self.wants.union(*(metric.wants for metric in (metrics or {}).values()))
         self.path = None if directory is None else Path(directory) / "timeseries.csv"
+        self._rows = None if self.path is None else RowFile(self.path)
         self._last: tuple[float, float, Mapping[str, float]] | None = None
         self._names: list[str] = []
-        self._file: FileIO | None = None
-        self._size = 0
-        self._unwritten = b""
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one row; a second snapshot of the same time has no effect.
@@ -89,15 +88,15 @@ class TimeSeries(ScheduledObserver):
             for meter in meters.values():
                 meter.update(snapshot)
         self._last = snapshot.time, snapshot.time if before is None else before, snapshot.totals
-        if self.path is None:
+        if self._rows is None:
             return
         readings = self._readings()
-        if not self._size and not self._unwritten:
+        if self._rows.is_empty:
             known = [name for name in TOTAL_QUANTITIES if name in snapshot.totals]
             self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
-            self._write_row(["time [s]", "stage", *map(_column_label, self._names), *readings])
+            self._rows.write(["time [s]", "stage", *map(_column_label, self._names), *readings])
         totals = [snapshot.totals.get(name, "") for name in self._names]
-        self._write_row([snapshot.time, snapshot.stage, *totals, *readings.values()])
+        self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()])
 
     @property
     def last_row(self) -> Row | None:
@@ -110,9 +109,8 @@ class TimeSeries(ScheduledObserver):
 
     def finish(self) -> None:
         """Close the file."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        if self._rows is not None:
+            self._rows.close()
 
     def results_by_kind(self) -> dict[str, dict[str, dict[str, float]]]:
         """Return the final numbers of flow meters, measured walls and metrics: kind -> name -> quantity -> value.
@@ -148,9 +146,7 @@ class TimeSeries(ScheduledObserver):
 
     def state_dict(self) -> dict[str, Any]:
         """Flush all rows to the disk; return the file size [bytes], the columns and the state of the meters."""
-        if self._file is not None:
-            os.fsync(self._file.fileno())
-        rows = {"columns": self._names, "size": self._size, "unwritten": self._unwritten.decode()}
+        rows = {"columns": self._names} | (NO_ROWS if self._rows is None else self._rows.state_dict())
         meters = {
             kind: {name: each.state_dict() for name, each in named.items()} for kind, named in self.meters.items()
         }
@@ -159,7 +155,9 @@ class TimeSeries(ScheduledObserver):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state; later rows have the same columns. The meters must have the same names as those saved."""
         super().load_state_dict(saved)
-        self._names, self._size, self._unwritten = saved["columns"], saved["size"], saved["unwritten"].encode()
+        self._names = saved["columns"]
+        if self._rows is not None:
+            self._rows.load_state_dict(saved)
         for kind, meters in self.meters.items():
             for name, meter in meters.items():
                 meter.load_state_dict(saved[kind][name])
@@ -167,29 +165,12 @@ class TimeSeries(ScheduledObserver):
     @property
     def rows_intact(self) -> bool:
         """Whether the file still contains all rows of the restored state."""
-        return self.path is None or _size_of(self.path) >= self._size
+        return self._rows is None or self._rows.is_intact
 
     def truncate(self) -> None:
         """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones."""
-        if self.path is not None and self._size:
-            self._size = min(self._size, _size_of(self.path))
-            if self._size:
-                os.truncate(self.path, self._size)
-
-    def _write_row(self, row: list[Any]) -> None:
-        """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
-        assert self.path is not None
-        self._unwritten += csv_line(row).encode()
-        if self._file is None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = FileIO(self.path, "a" if self._size else "w")
-        while self._unwritten:
-            written = self._file.write(self._unwritten)
-            self._size, self._unwritten = self._size + written, self._unwritten[written:]
-
-
-def _size_of(path: Path) -> int:
-    return path.stat().st_size if path.exists() else 0
+        if self._rows is not None:
+            self._rows.truncate()
 
 
 def _column_label(name: str) -> str:

@@ -16,6 +16,7 @@ from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, re
 from granflow.plan.features import features_of, reasons_for
 from granflow.plan.forecast.build import forecasts_of
 from granflow.plan.forecast.sizes import size_problems
+from granflow.plan.liquid import refuse_coarse_liquid
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
@@ -97,6 +98,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     features = features_of(scene, models, law.rate_dependent)
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
+    refuse_coarse_liquid(scene, features.liquid_transfer)
     pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
@@ -132,6 +134,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         adaptive_time_step=_adaptive_time_step(scene, pair_cases, law, velocity, max(speed, adhesion)),
     )
     _refuse_fast(scene, plan, speeds)
+    _refuse_collision_energies(scene, plan)
     return plan
 
 
@@ -192,6 +195,16 @@ def _refuse_fast(scene: Scene, plan: Plan, wall_speeds: Mapping[str, float]) -> 
     refuse_fast_walls(scene, wall_speeds, step, *min((limit, travel), (displacement, share)))
     image_limits = (plan.travel_limit, share_of(plan.travel_limit, plan.radius_min)), (plan.skin, f"1 {skin}")
     refuse_fast_images(scene, plan.image_speed, step, *min(image_limits))
+
+
+def _refuse_collision_energies(scene: Scene, plan: Plan) -> None:
+    """Raise SceneError for collision energies of contacts without a history, whose begin is not known."""
+    if plan.features.collision_energies and not plan.history:
+        raise SceneError(
+            f"{scene.locate('output', 'collision_energies')}: output.collision_energies needs a contact model with a "
+            f"history, and contact.normal {scene.contact.name('normal')} without friction has none. Give a pair a "
+            "friction above 0, set contact.normal to zhou, or remove the block."
+        )
 
 
 def _used_materials(scene: Scene) -> tuple[str, ...]:

@@ -143,13 +143,15 @@ def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
 
 
 def sum_arrays(plan: Plan) -> list[DeviceArray]:
-    """Sums of each chunk: terms of the energy budget, wall forces, work at periodic boundaries and of external forces.
+    """Sums of each chunk, for the energy budget, wall forces and collisions.
 
+    Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of collisions.
     Each term has two components, see `engine.exact_sums`.
     """
     chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
     wall_rows = plan.capacities.wall_rows
     energy_budget = plan.features.energy_budget
+    classes = 2 * plan.capacities.energy_classes
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
     return [
@@ -159,6 +161,7 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
             ("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
             ("boundary_work", (chunks,), 1, has_image_work),
             ("external_work", (chunks,), 1, has_external_work),
+            ("collisions", (wall_rows, classes), 1, classes > 0),
         )
     ]
 

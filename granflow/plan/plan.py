@@ -29,6 +29,8 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.decisions import Decisions
+from granflow.plan.liquid import liquid_unit
+from granflow.plan.pair_cases import sphere_mass
 from granflow.plan.resolution import coordinate_limit
 from granflow.plan.sum_units import SumUnits, sum_units
 from granflow.plan.time_step import PairCase, shortest_phase, stable_step
@@ -112,8 +114,22 @@ class Plan(Decisions):
         farthest = 2.0 * float(np.abs([self.domain_low, self.domain_high]).max())
         return sum_units(
             self.pair_cases, self.law, self.velocity_max, self.max_overlap, self.radius_max, self.longest_time_step,
-            farthest,
+            farthest, self.largest_weight,
         )  # fmt: skip
+
+    @cached_property
+    def liquid_unit(self) -> float:
+        """Unit [m3] of liquid volumes, a power of two, see `liquid`."""
+        return liquid_unit(self.groups)
+
+    @property
+    def largest_weight(self) -> float:
+        """Weight [N] of the heaviest sphere."""
+        gravity = float(np.linalg.norm(self.gravity))
+        return max(
+            gravity * sphere_mass(0.5 * group.diameters[1], self.solids[group.material].density)
+            for group in self.groups
+        )
 
     @property
     def chunk_capacity(self) -> int:
@@ -156,8 +172,17 @@ class Plan(Decisions):
             batch=MIN_BATCH,
             chunk_particles=rounded_capacity(min(self.chunk_size, self.particle_capacity), MIN_CHUNK_PARTICLES),
             wall_rows=SHARED_ROWS if self.chunk_size == 1 else rounded_capacity(chunk_count, MIN_CHUNKS),
+            energy_classes=len(self.collision_edges) + 1 if self.features.collision_energies else 0,
             history_share=history_share(self.particle_capacity, segments, list_entries),
         )
+
+    @property
+    def collision_edges(self) -> np.ndarray:
+        """Edges (n + 1,) [J] of the n classes of collision energies, equally spaced on a logarithmic scale."""
+        given = self.output.collision_energies
+        if given is None:
+            return np.empty(0)
+        return np.array([float(f"{edge:.12g}") for edge in np.geomspace(given.min, given.max, given.classes + 1)])
 
     @property
     def cell_capacity(self) -> int:

@@ -6,11 +6,12 @@ neither on the order of the neighbor lists nor on skin, rebuilds, chunk size or 
 The largest force of a contact within the overlap limit L, with R the largest radius that the smaller of two particles
 in contact can have, and the overlap d = L R:
 
-    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur
+    F = max[(4/3) E* sqrt(R) d^1.5,  k d + c v]        over all contacts that can occur, at least W
 
-with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned velocity v. With
-F rounded up to a power of two, the unit of a force is F / 2^45 = 3e-14 F: sums up to 2^7 F are exact in f64, and also
-exact if their terms are in f32, of which those above 2^-23 F are multiples of half a unit.
+with k and c the tangent stiffness during loading and the viscosity of the normal model at the planned velocity v, and W
+the weight of the heaviest sphere, which the sums contain: a large sphere among small ones is heavier than the largest
+force of a contact. With F rounded up to a power of two, the unit of a force is F / 2^45 = 3e-14 F: sums up to 2^7 F are
+exact in f64, and also exact if their terms are in f32, of which those above 2^-23 F are multiples of half a unit.
 """
 
 from collections.abc import Sequence
@@ -73,6 +74,7 @@ def sum_units(
     radius: float,
     time_step: float,
     size: float,
+    weight: float = 0.0,
 ) -> SumUnits:
     """Units of a scene.
 
@@ -82,8 +84,9 @@ def sum_units(
     radius:       largest radius [m]
     time_step:    longest time step [s]
     size:         largest distance [m] of a particle from the pivot of a wall
+    weight:       [N], of the heaviest sphere
     """
-    force, energy = 0.0, 0.0
+    force, energy = weight, 0.0
     for case in [case for case in pair_cases if case.pair_key] or pair_cases:
         overlap, arguments = max_overlap * case.largest_radius, (case.pair, case.radius_eff, case.mass_eff, velocity)
         hertz = 4.0 / 3.0 * case.pair.modulus_eff * np.sqrt(case.largest_radius) * overlap**1.5

@@ -129,6 +129,10 @@ def run_folders(home: Path) -> list[Path]:
     return sorted(path.parent for path in home.rglob("scene_as_run.yaml") if path.is_file())
 
 
+UNDEFINED = "residence_time"
+"""Start of the columns that are NaN as long as no particle has passed the flow meter."""
+
+
 def defects(folder: Path) -> list[str]:
     """Defects of the files of a run: temporary files, unreadable or unlisted frames, NaN, rows of unequal length."""
     found = [f"the temporary file {path.name} remains" for path in folder.glob(".*.part")]
@@ -158,7 +162,10 @@ def _row_defects(path: Path) -> list[str]:
         if len(row) != len(rows[0])
     ]
     numbers = [
-        (i, text) for i, row in enumerate(rows[1:], 1) for text in row if re.fullmatch(r"[-+.\d].*|nan|inf", text)
+        (i, text)
+        for i, row in enumerate(rows[1:], 1)
+        for name, text in zip(rows[0], row, strict=False)
+        if re.fullmatch(r"[-+.\d].*|nan|inf", text) and not name.startswith(UNDEFINED)
     ]
     for i, text in numbers:
         try:

@@ -245,7 +245,7 @@ def meshes() -> list[Case]:
             "an OBJ file with relative indices, which are valid",
             "m.obj",
             obj(points, corners, True),
-            "no problems",
+            "no errors, 1 warning",
             code=0,
         ),
         mesh("points", "an OBJ file with corners and no triangles", "m.obj", "v 0 0 0\nv 1 0 0\n", "triangle"),

@@ -14,6 +14,7 @@ from granflow.errors import RunError
 from granflow.kernel_language import ti
 from granflow.observers.interval import on_interval
 from granflow.plan import sum_units
+from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 
 ARRAYS = ("id", "position", "velocity", "angular_velocity", "force", "torque", "coordination_number")
@@ -143,3 +144,15 @@ def test_two_word_sums_give_the_exact_total():
     totals = exact_totals(np.concatenate([low, high], axis=1), 0.25)
     expected = [3 + 2**41 + (2**30 + 1) * 2**CARRY_BITS, 2 - 2**20 * 2**CARRY_BITS]
     assert totals.tolist() == [float(each) * 0.25 for each in expected]
+
+
+def test_weight_of_a_large_sphere_among_small_ones_does_not_abort(taichi_f64):
+    """A sphere of 10 cm weighs 13 N; the largest force of a contact with one of 0.1 mm is below 10 mN."""
+    groups = {
+        "large": particle_group([[0.0, 0.0, 0.0]], 0.1),
+        "small": particle_group([[0.0, 0.0, 0.2], [0.0, 0.0, 0.3]], 1e-4),
+    }
+    scene = build_scene(groups, gravity=[0.0, 0.0, -9.81], run={"duration": 2e-6, "velocity_max": 0.2})
+    assert plan_for(scene).sum_units.largest_force > 30.0 * 13.0
+    last, _ = run_to_end(scene)
+    np.testing.assert_allclose(last.particles["velocity"][:, 2], -9.81 * last.time, rtol=1e-12)

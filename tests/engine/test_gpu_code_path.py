@@ -55,7 +55,7 @@ def results(name, as_on_gpu, free_memory=None):
     simulation.run()
     assert (len(simulation.engine.state._block._trees) > 3) == as_on_gpu
     last, timing = simulation.snapshot(contacts=True), simulation.engine.timing
-    arrays = [*last.particles.values(), *last.contacts.values(), *last.impulses.values()]
+    arrays = [*last.particles.values(), *last.contacts.values(), *last.impulses.values(), *last.collisions.values()]
     arrays += [wall.offset for wall in last.walls.values()]
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
     counts = [timing.step_count, timing.rebuild_count, int(last.totals["contact_count"])]

@@ -13,12 +13,13 @@ from scene_builders import SOFT, box, build_scene, particle_group
 from sheared_scenes import sheared_gas
 
 GPU_CHUNKS = {"numerics": {"chunk_size": 1}}
+COLLISIONS = {"collision_energies": {"min": 1e-9, "max": 1e-2, "classes": 14}}
 RUN = {"velocity_max": 2.0, "time_step": 4e-6}
 
 
 def shaken_box(duration=0.003):
     """Friction, rolling friction, a moving wall, rebuilds, the energy budget."""
-    output = {"interval": 1.0, "energy_budget": True, "wall_forces": True}
+    output = {"interval": 1.0, "energy_budget": True, "wall_forces": True} | COLLISIONS
     return falling_lattice(run={"duration": duration, **RUN}, output=output, **GPU_CHUNKS)
 
 

@@ -14,7 +14,7 @@ from granflow.errors import SceneError
 from granflow.particles.generate import initial_particles
 from granflow.plan.build import plan_for
 from granflow.plan.forecast.advice import required_moduli
-from granflow.plan.forecast.contact import impact_overlap
+from granflow.plan.forecast.contact import impact_overlap, impact_velocity
 from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.regions import particle_warnings
@@ -286,6 +286,21 @@ def test_largest_overlap_is_that_of_small_particles_with_large_ones():
     plan = plan_for(scene)
     overlaps = {pair.name: impact_overlap(plan.laws, pair, 1.0) for pair in touching_pairs(plan)}
     assert set(overlaps) == {"particles of small and large"} and np.isfinite(list(overlaps.values())).all()
+
+
+@pytest.mark.parametrize("normal", ["hertz", "zhou", {"law": "linear", "stiffness": {"value": 2e3}}])
+def test_impact_velocity_follows_from_the_elastic_energy_of_the_model(normal):
+    """At half of the largest overlap of an elastic impact at 0.1 m/s, with the approach velocity that remains there.
+
+    A linear spring stores k d^2 / 2 (1/4 of the energy at d/2), a Hertz contact 8/15 E* sqrt(R) d^2.5 (2^-2.5).
+    """
+    balls = particle_group([[0.0, 0.0, 0.1], [0.0, 0.0, 0.2]])
+    plan = plan_for(build_scene({"balls": balls}, normal=normal, pair={"restitution": 1.0}))
+    (pair,) = touching_pairs(plan)
+    half = 0.5 * pair.radius * impact_overlap(plan.laws, pair, 0.1)
+    stored = 0.25 if isinstance(normal, dict) else 0.5**2.5
+    approach = 0.1 * sqrt(1.0 - stored)
+    assert impact_velocity(plan.laws, pair, half, approach) == pytest.approx(0.1, rel=1e-3)
 
 
 REGION = {"box": {"min": [-0.1] * 3, "max": [0.1] * 3}}

@@ -168,3 +168,20 @@ def test_many_residuals_need_a_smaller_probability():
         found: Effects = effects(random.uniform(size=(30, 1)), random.normal(size=(30, 50)), np.zeros((30, 50)))
         count += bool(found.significant.any())
     assert count <= binom.isf(1e-3, 60, LEVEL)
+
+
+def test_scatter_above_the_tolerance_hides_no_slope_of_a_curved_response():
+    """A discharge rate over friction, 40 (0.2 - u) / (0.5 + u) with scatter 1.3: the slope at 0.2 is -40 / 0.7.
+
+    Eight trials of 20 are anywhere, the others near the optimum, where the scatter hides the slope from few trials. The
+    deviation is sqrt(1 + 1.3^2) / (40 / 0.7) = 0.029; the optimum of the fit is within three of these in 99.7 %.
+    """
+    found = []
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        near = np.clip(0.2 + 0.05 * random.standard_normal(12), 0.0, 1.0)
+        u = np.concatenate([random.uniform(size=8), near])[:, None]
+        found.append(identified(u, 40.0 * (0.2 - u) / (0.5 + u) + 1.3 * random.standard_normal(u.shape)))
+    assert sum(known.is_identified(0) for known in found) >= 97
+    assert np.median([known.deviation[0] for known in found]) == pytest.approx(np.sqrt(2.69) / (40.0 / 0.7), rel=0.15)
+    assert sum(abs(known.optimum[0] - 0.2) < 3.0 * known.deviation[0] for known in found) >= 97

@@ -11,14 +11,13 @@ from granflow.engine.exact_sums import add_energy, build_list_shares, build_to_g
 from granflow.engine.force.batch_collect import build_collect
 from granflow.engine.force.batch_columns import build_add_to_sums, store_vector
 from granflow.engine.force.batch_gather import build_gather
+from granflow.engine.force.collision_counts import build_count_collision
 from granflow.engine.force.pair_force import (
     build_pair_force,
     build_sphere_kinematics,
     effective_value,
 )
-from granflow.engine.force.pair_kinematics import (
-    build_boundary_work,
-)
+from granflow.engine.force.pair_kinematics import build_boundary_work, build_effective, build_pair_kinematics
 from granflow.engine.force.structs import (
     build_constants,
     build_read_slots,
@@ -36,7 +35,7 @@ def build_batched_forces(state: State) -> Any:
     """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
-    Writes:  force, torque, history, losses, abort, batch of the worker
+    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
     """
     collect, gather, evaluate, scatter = (
         build_collect(state),
@@ -53,7 +52,7 @@ def build_batched_forces(state: State) -> Any:
             while i < last and found < BATCH:
                 found = collect(worker, chunk, i, found, first, last, pose, dt)
                 i += 1
-            gather(worker, found, pose, dt)
+            gather(worker, chunk, found, pose, dt)
             evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
             scatter(worker, chunk, found, first, last, pose, dt)
 
@@ -180,12 +179,14 @@ def _build_scatter(state: State) -> Any:
     Forces are added to both partners, if the second is in this chunk.
 
     Reads:   columns of the batch
-    Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work
+    Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work, collisions
     """
     plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
     features, history, slots = plan.features, neighbors.history, list(neighbors.history)
     list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
     add_to_sums, loss_count = build_add_to_sums(state), len(LOSSES)
+    pair_kinematics, effective = build_pair_kinematics(state, False), build_effective(state, False)
+    count_collision = build_count_collision(state, False)
 
     @ti.func
     def vector_of(columns: ti.template(), worker, entry):
@@ -218,6 +219,9 @@ def _build_scatter(state: State) -> Any:
                 if ti.static(features.rotation):
                     torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
                     add_to_sums(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
+            if ti.static(features.collision_energies):
+                rate = pair_kinematics(i, j, pose, dt).overlap_rate_half
+                count_collision(chunk, batch.list_index[worker, entry], j, effective(i, j), rate)
             store_history(worker, entry, batch.list_index[worker, entry])
             if ti.static(features.energy_budget):
                 add_losses(worker, chunk, j, entry)

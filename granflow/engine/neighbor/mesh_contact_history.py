@@ -86,7 +86,7 @@ def build_acquire_history(state: State) -> Any:
                 for name in ti.static(names):
                     neighbors.history[name][list_index] = neighbors.history[name][source]
                     neighbors.history[name][source] = 0.0 * neighbors.history[name][source]
-                neighbors.in_contact[source] = NO_CONTACT
+                neighbors.in_contact[source], neighbors.in_contact[list_index] = NO_CONTACT, IN_CONTACT
 
     return acquire_history
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from granflow.contact import theory
 from granflow.contact.law import ContactState, Law
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
@@ -118,6 +119,23 @@ def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enoug
     except NotImplementedError:
         return elastic
     return overlap / pair.radius
+
+
+def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, approach: float) -> float:
+    """Velocity [m/s] of an impact that has reached `overlap` [m] and approaches at `approach` [m/s], without losses.
+
+        v^2 = approach^2 + (2 / M) int_0^d F(x, 0) dx     e.g. (4/5) (k/M) d^2.5, k = (4/3) E sqrt(R) (Hertz 1882)
+
+    The work of attractions, which act before contact too, is not included. Hertz's if the model has no reference
+    implementation.
+    """
+    width = overlap / STEPS_OF_LOADING
+    forces = ContactForces(laws, pair, 1.0)
+    try:
+        work = width * sum(forces.parts((k + 0.5) * width, 0.0)[0] for k in range(STEPS_OF_LOADING))
+    except NotImplementedError:
+        work = 0.4 * theory.hertz_stiffness(pair.pair.modulus_eff, pair.radius_eff) * overlap**2.5
+    return float(np.hypot(approach, np.sqrt(2.0 * work / pair.mass_eff)))
 
 
 def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:

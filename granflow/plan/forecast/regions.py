@@ -37,7 +37,7 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
             share = float(np.mean(overlap > plan.max_overlap))
             if share > 0.0:
                 yield (
-                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100 * share:.2g} % of the "
+                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100 * share:.3g} % of the "
                     f"positions in the region are inside or behind walls.{wall.name}, and particles there stop the "
                     "run. Choose a region that does not intersect the wall."
                 )

@@ -11,6 +11,9 @@ from granflow.scene.schema.analysis import AnyMetric, FieldGrid
 from granflow.scene.schema.faults import Fault, redundant
 from granflow.scene.schema.fields import Flag, FlagOrNames, Model, Name
 
+MOST_CLASSES = 200
+"""Largest number of classes of collision energies."""
+
 
 class FlowMeter(Model):
     """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
@@ -59,6 +62,27 @@ class Checkpoints(Model):
     keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
 
 
+class CollisionEnergies(Model):
+    """Classes of impact energies, equally spaced on a logarithmic scale, in which collisions are counted.
+
+    The impact energy is m v^2 / 2 with the effective mass of the pair and the normal approach velocity.
+
+    >>> gf.CollisionEnergies(min="1 nJ", max="1 mJ", classes=60).classes
+    60
+    """
+
+    min: q.Energy = Field(description="lower edge of the first class [J]; smaller energies have a class of their own")
+    max: q.Energy = Field(description="upper edge of the last class [J]; larger energies have a class of their own")
+    classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless min is below max, and for too many classes."""
+        if self.min >= self.max:
+            yield Fault(("max",), f"it must be above min, {self.min:g} J")
+        if self.classes > MOST_CLASSES:
+            yield Fault(("classes",), f"at most {MOST_CLASSES} are possible")
+
+
 class Output(Model):
     """Selection and intervals of the output.
 
@@ -83,6 +107,9 @@ class Output(Model):
     wall_forces: FlagOrNames = Field(
         False,
         description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
+    )
+    collision_energies: CollisionEnergies | None = Field(
+        None, description="count collisions by impact energy, for collision_energies.csv; default: no counts"
     )
     flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
     fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")

@@ -23,8 +23,8 @@ def calibrate(
     out:      directory of the results; default: out/NAME. Trials in it that have ended are not repeated
     jobs:     simultaneous trials; default: cores / threads
     threads:  CPU threads of each run
-    Returns:  one row per parameter: value, standard_deviation (SI), identified, remark. `attrs`: loss, and the lists
-              targets and conflicts
+    Returns:  one row per parameter: value in the best trial, optimum_of_fit and its standard_deviation (SI),
+              identified, remark. `attrs`: loss, and the lists targets and conflicts
     Raises:   GranflowError with all problems of the calibration, if no trial was completed, or if Optuna or pandas
               (pip install granflow[calibrate]) is missing
     """
@@ -39,9 +39,12 @@ def calibrate(
     if result is None:
         raise GranflowError("No trial was completed, so there are no best values.")
     table = pandas.DataFrame(
-        [(each.value, each.deviation, not each.not_identified, each.not_identified) for each in result.parameters],
+        [
+            (each.value, each.optimum, each.deviation, not each.not_identified, each.not_identified)
+            for each in result.parameters
+        ],
         index=[each.name for each in result.parameters],
-        columns=["value", "standard_deviation", "identified", "remark"],
+        columns=["value", "optimum_of_fit", "standard_deviation", "identified", "remark"],
     )
     table.attrs = {
         "loss": result.loss,

@@ -7,16 +7,18 @@
     C = (sum of J J^T / (1 + s^2) + 12 I)^-1
 
 J: gradient of a residual at the best values, s: its scatter about the fit, 12 I: inverse variance of the uniform
-distribution between the bounds. Of the fits of first and second degree, to all trials and to those near the best one,
-each residual has the one that predicts the trials near the best one with the smallest error, if each of these is left
-out (PRESS). A component of J counts as 0 without an effect over the bounds, or if its ratio to its standard error is
-below the quantile of the t-distribution.
+distribution between the bounds. Fits of first and second degree, to the trials near the best one, to all and to
+numbers between, predict the trials near the best one, if each of these is left out (PRESS). Of the fits whose mean
+squared error is within one standard error of the smallest, each residual has the one with the most significant slopes,
+of these the one with the smallest error. A component of J counts as 0 without an effect over the bounds, or if its
+ratio to its standard error is below the quantile of the t-distribution.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.special import fdtrc
 
 from granflow.studies.calibration.response import (
@@ -31,6 +33,9 @@ from granflow.studies.calibration.response import (
 
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of the uniform distribution on [0, 1]."""
+
+WINDOW_FACTOR = 1.25
+"""Ratio of the numbers of trials of two fits that follow each other."""
 
 NOT_IDENTIFIED = 0.5
 """Ratio of the standard deviation of a parameter to that of the uniform distribution between its bounds, above which
@@ -107,11 +112,13 @@ def _squares(matrix: np.ndarray, residual: np.ndarray) -> float:
 class Identification:
     """What the targets determine: standard deviation (d,) of each parameter in [0, 1]; responses to each parameter.
 
-    `importance` (d,): share of each parameter in the squared gradients of the residuals at the best values; 0 if no
-    target responds to the parameter there.
+    `optimum` (d,): parameters in [0, 1] with the smallest sum of squares of the fitted residuals. `importance` (d,):
+    share of each parameter in the squared gradients of the residuals at the best values; 0 if no target responds to the
+    parameter there.
     """
 
     deviation: np.ndarray
+    optimum: np.ndarray
     importance: np.ndarray
     effects: Effects
 
@@ -158,30 +165,51 @@ def identification(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, bes
         return None
     found = effects(u, residuals, errors)
     number = int(completed[:best].sum())
-    slopes, scatter = _gradient(u[completed], residuals[completed], errors[completed], number)
+    fits = _local_fits(u[completed], residuals[completed], errors[completed], number)
+    at = u[best]
+    slopes = np.array([_significant(each, at)[k] for k, each in enumerate(fits)])
     slopes = np.where(found.significant, slopes, 0.0)
+    scatter = np.array([each.scatter[k] for k, each in enumerate(fits)])
     information = (slopes.T / (1.0 + scatter**2)) @ slopes + np.eye(u.shape[1]) / UNIFORM_VARIANCE
     squares = (slopes**2).sum(axis=0)
     total = float(squares.sum()) or 1.0
-    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), squares / total, found)
+    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), _optimum(fits, at), squares / total, found)
 
 
-def _gradient(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (residuals, d) at trial `best`, 0 where it is not significant, and scatter (residuals,) of the fits."""
+def _local_fits(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> list[Response]:
+    """The fit of each residual near trial `best`; see the module docstring."""
     highest = highest_degree(*u.shape)
-    near = nearest_trials(u, best, highest)
-    order = np.concatenate([near, np.setdiff1d(np.arange(len(u)), near)])
-    press, slopes, scatters = [], [], []
+    near = len(nearest_trials(u, best, highest))
+    order = np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
+    fits, squares, significant = [], [], []
     for degree in range(1, highest + 1):
-        for count in (len(near), len(u)):
+        for count in _window_sizes(near, len(u)):
             used = order[:count]
-            response = fit(u[used], residuals[used], degree, errors[used])
-            press.append(_left_out(u[used], residuals[used], degree)[: len(near)])
-            slopes.append(_significant(response, u[best]))
-            scatters.append(response.scatter)
-    chosen = np.argmin([(each**2).sum(axis=0) for each in press], axis=0)
-    targets = np.arange(residuals.shape[1])
-    return np.array(slopes)[chosen, targets], np.array(scatters)[chosen, targets]
+            fits.append(fit(u[used], residuals[used], degree, errors[used]))
+            squares.append(_left_out(u[used], residuals[used], degree)[:near] ** 2)
+            significant.append((_significant(fits[-1], u[best]) != 0.0).sum(axis=1))
+    error = np.mean(squares, axis=1)
+    smallest, columns = error.argmin(axis=0), np.arange(residuals.shape[1])
+    spread = np.std(squares, axis=1, ddof=1)[smallest, columns] / np.sqrt(near)
+    allowed = error <= error[smallest, columns] + spread
+    rank = np.where(allowed, significant, -1)
+    chosen = np.where(rank == rank.max(axis=0), error, np.inf).argmin(axis=0)
+    return [fits[k] for k in chosen]
+
+
+def _window_sizes(smallest: int, largest: int) -> list[int]:
+    """Numbers of trials of the fits, from the smallest to the largest."""
+    sizes = [smallest]
+    while sizes[-1] < largest:
+        sizes.append(min(int(np.ceil(WINDOW_FACTOR * sizes[-1])), largest))
+    return sizes
+
+
+def _optimum(fits: Sequence[Response], start: np.ndarray) -> np.ndarray:
+    """Parameters (d,) in [0, 1] with the smallest sum of squares of the fitted residuals, found from `start`."""
+    inside = np.clip(start, 1e-6, 1.0 - 1e-6)
+    found = least_squares(lambda u: [each.at(u)[k] for k, each in enumerate(fits)], inside, bounds=(0.0, 1.0))
+    return np.asarray(found.x)
 
 
 def _significant(response: Response, at: np.ndarray) -> np.ndarray:

@@ -22,13 +22,13 @@ HEIGHT = 340
 """Height of a plot [pixels]."""
 
 
-def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, result: CalibrationResult) -> None:
+def write_calibration_page(out: Path, calibration: CalibrationInput, result: CalibrationResult) -> None:
     """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
     script = library()
     text = page_text(
         "calibration.html",
         plotly=script,
-        title=calibration.title or f"Calibration {name}",
+        title=calibration.title or f"Calibration of {' and '.join(calibration.scenes)}",
         lead=calibration.description or "Parameters from measured targets.",
         loss=result.loss,
         best=_best(result),
@@ -44,11 +44,11 @@ def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, 
 
 
 def _best(result: CalibrationResult) -> PageTable:
-    """Best values with their standard deviations."""
+    """Best values, optima of the fit and their standard deviations."""
     rows = [
         (each.name, *each.shown, "no" if each.not_identified else "yes") for each in result.parameters
     ]  # fmt: skip
-    return PageTable(("parameter", "best value", "standard deviation", "identified"), rows)
+    return PageTable(("parameter", "best trial", "optimum of the fit", "standard deviation", "identified"), rows)
 
 
 def _targets(result: CalibrationResult) -> PageTable:

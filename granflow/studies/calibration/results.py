@@ -16,7 +16,7 @@ from granflow.io.tables import write_table
 from granflow.studies.calibration.identification import Effects, identification
 from granflow.studies.calibration.response import fewest_trials
 from granflow.studies.calibration.schema import CalibrationInput, Parameter
-from granflow.studies.calibration.search import Search, deviation_in_units, settings_of
+from granflow.studies.calibration.search import Search, deviation_in_units, from_unit, settings_of
 from granflow.studies.calibration.targets import Measured, deviation, given_text
 from granflow.studies.run_processes.settings import overrides_of
 
@@ -26,19 +26,21 @@ FEWEST_TRIALS = 20
 
 @dataclass(frozen=True)
 class BestValue:
-    """Best value of a parameter with its standard deviation (nan without a fit).
+    """Value of a parameter in the best trial, optimum of the fit to all trials, and standard deviation of the latter.
 
+    `optimum`: nan without a fit and for a parameter that the targets do not identify; `deviation`: nan without a fit;
     `importance`: share of the parameter in the response of the targets, 0 to 1, nan without a fit; `not_identified`: a
-    sentence if the targets do not identify the parameter, otherwise empty; `shown`: texts of value and standard
-    deviation in the unit of the bounds.
+    sentence if the targets do not identify the parameter, otherwise empty; `shown`: texts of value, optimum and
+    standard deviation in the unit of the bounds.
     """
 
     name: str
     value: float
+    optimum: float
     deviation: float
     importance: float
     not_identified: str
-    shown: tuple[str, str]
+    shown: tuple[str, str, str]
 
 
 class BestTarget(NamedTuple):
@@ -114,17 +116,18 @@ def _best_values(
     if known is None:
         few = f"{len(completed)} completed trials are too few, at least {fewest_trials(len(parameters))} are needed"
         return [
-            _best_value(name, each, values[name], nan, nan, f"{name} cannot be identified from the targets: {few}.")
+            _best_value(
+                name, each, values[name], (nan, nan, nan), f"{name} cannot be identified from the targets: {few}."
+            )
             for name, each in parameters.items()
         ]
-    return [
-        _best_value(
-            name, each, values[name], deviation_in_units(each, values[name], float(known.deviation[k])),
-            float(known.importance[k]),
-            known.statement(list(parameters), k, _strongest_change(targets, known.effects, k)),
-        )
-        for k, (name, each) in enumerate(parameters.items())
-    ]  # fmt: skip
+    found = []
+    for k, (name, each) in enumerate(parameters.items()):
+        error = deviation_in_units(each, values[name], float(known.deviation[k]))
+        optimum = from_unit(each, float(known.optimum[k])) if known.is_identified(k) else nan
+        sentence = known.statement(list(parameters), k, _strongest_change(targets, known.effects, k))
+        found.append(_best_value(name, each, values[name], (optimum, error, float(known.importance[k])), sentence))
+    return found
 
 
 def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: int) -> str:
@@ -138,12 +141,12 @@ def _strongest_change(targets: Mapping[str, Measured], effects: Effects, index: 
 
 
 def _best_value(
-    name: str, parameter: Parameter, value: float, error: float, importance: float, not_identified: str
+    name: str, parameter: Parameter, value: float, fitted: tuple[float, float, float], not_identified: str
 ) -> BestValue:
-    """The best value of a parameter with its texts."""
-    return BestValue(
-        name, value, error, importance, not_identified, (parameter.text(value, 5), parameter.text(error, 2))
-    )
+    """The best value of a parameter with its texts; `fitted`: optimum, standard deviation, importance."""
+    optimum, error, importance = fitted
+    shown = parameter.text(value, 5), parameter.text(optimum, 5), parameter.text(error, 2)
+    return BestValue(name, value, optimum, error, importance, not_identified, shown)
 
 
 def _best_target(name: str, measured: Measured, trial: Any) -> BestTarget:
@@ -231,6 +234,7 @@ def write_result(out: Path, result: CalibrationResult) -> None:
     best = {
         "parameter": [each.name for each in result.parameters],
         "value": [each.value for each in result.parameters],
+        "optimum_of_fit": [_number(each.optimum) for each in result.parameters],
         "standard_deviation": [_number(each.deviation) for each in result.parameters],
         "identified": [not each.not_identified for each in result.parameters],
         "remark": [each.not_identified for each in result.parameters],

@@ -8,6 +8,7 @@ from granflow import Run, read_run
 from granflow.io.atomic_files import write_text
 from granflow.studies.page import page_text
 from granflow.studies.report import sections
+from granflow.studies.report.collisions import collision_topics
 from granflow.studies.report.field_grids import field_content
 from granflow.studies.report.pictures import RunPictures, pictures_for
 from granflow.studies.report.plots import library
@@ -49,7 +50,7 @@ def report_text(record: Run, script: str, pictures: RunPictures | None) -> str:
         progress=sections.progress(record),
         warnings=sections.warnings(record),
         expected=expected_topic(record, bool(script)),
-        topics=topics(record, bool(script)),
+        topics=[*topics(record, bool(script)), *collision_topics(record.directory, bool(script))],
         field_tables=fields[0],
         field_plots=fields[1],
         timings=sections.timings(record),

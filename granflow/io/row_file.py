@@ -1,0 +1,68 @@
+"""A CSV file that grows by rows during a run, and that a resumed run continues."""
+
+import os
+from collections.abc import Sequence
+from io import FileIO
+from pathlib import Path
+from typing import Any
+
+from granflow.io.tables import csv_line
+
+
+class RowFile:
+    """Rows of a CSV file, flushed one by one.
+
+    `path`: of the file; it replaces an existing one at the first row, unless a state was restored.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: FileIO | None = None
+        self._size, self._unwritten = 0, b""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are no rows yet, not even a header."""
+        return not self._size and not self._unwritten
+
+    def write(self, row: Sequence[Any]) -> None:
+        """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
+        self._unwritten += csv_line(row).encode()
+        if self._file is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = FileIO(self.path, "a" if self._size else "w")
+        while self._unwritten:
+            written = self._file.write(self._unwritten)
+            self._size, self._unwritten = self._size + written, self._unwritten[written:]
+
+    def close(self) -> None:
+        """Close the file; a further row opens it again."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Flush all rows to the disk; return the file size [bytes] and the rest of an incomplete row."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
+        return {"size": self._size, "unwritten": self._unwritten.decode()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`; the file is not modified yet."""
+        self._size, self._unwritten = saved["size"], saved["unwritten"].encode()
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether the file still contains all rows of the restored state."""
+        return self._present_size() >= self._size
+
+    def truncate(self) -> None:
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones."""
+        if self._size:
+            self._size = min(self._size, self._present_size())
+            if self._size:
+                os.truncate(self.path, self._size)
+
+    def _present_size(self) -> int:
+        """Size of the file [bytes]."""
+        return self.path.stat().st_size if self.path.exists() else 0
