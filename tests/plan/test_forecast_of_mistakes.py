@@ -114,7 +114,9 @@ def rate_through(scene):
     return len(start) / 0.25
 
 
-@pytest.mark.parametrize(("radius", "is_too_small"), [(3.0, True), (5.0, True), (10.0, False), (15.0, False)])
+@pytest.mark.parametrize(
+    ("radius", "is_too_small"), [(3.0, True), (5.0, True), (8.0, True), (10.0, False), (15.0, False)]
+)
 def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
     scene = inlet_scene(tmp_path, radius)
