@@ -14,8 +14,7 @@ import signal
 import sys
 import time
 
-from granflow.io import frames
-from granflow.observers import timeseries
+from granflow.io import frames, row_file
 
 write_numbers = itertools.count(1)
 write_count = 0
@@ -37,13 +36,13 @@ def count_writes(fatal_write):
         setattr(os, name, counted(getattr(os, name), fatal_write))
     pathlib.Path.unlink = counted(pathlib.Path.unlink, fatal_write)
 
-    class PartialWrites(timeseries.FileIO):
+    class PartialWrites(row_file.FileIO):
         """Writes half of the data, as after a signal or on a full disk; the caller must write the rest."""
 
         def write(self, data):
             return counted(super().write, fatal_write)(data[: max(len(data) // 2, 1)])
 
-    timeseries.FileIO = frames.FileIO = PartialWrites
+    row_file.FileIO = frames.FileIO = PartialWrites
 
 
 def inject_clock_jumps():
