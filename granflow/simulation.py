@@ -104,7 +104,7 @@ class Simulation:
         wall_clock = WallClock()
         refuse_other_object(scene)
         if communicator is not None:
-            refuse_on_ranks(arch, forces, any(group.clump is not None for group in scene.particles.values()))
+            refuse_on_ranks(arch, forces, scene)
         if isinstance(resume, Path | str):
             resume = checkpoint_at(resume, "all" if communicator is None else "root")
         scene = scene.with_precision(precision)

@@ -82,7 +82,8 @@ def save(path, simulation):
     last, engine = simulation.snapshot(contacts=True), simulation.engine
     kinds = ("particles", "contacts", "totals", "impulses", "collisions")
     arrays = {f"{kind}.{name}": np.asarray(value) for kind in kinds for name, value in getattr(last, kind).items()}
-    counts = {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
+    counts = {f"exits.{face}": count for face, count in engine.accounting.exits.items()}
+    counts |= {"steps": engine.step_count, "rebuilds": engine.timing.rebuild_count}
     if isinstance(engine, ObservedEngine):
         counts |= {"growths": engine.timing.growth_count, "migrations": engine.migrations(), "owned": engine.owned()}
     np.savez(path, **arrays, **histories(engine), **{name: np.array(value) for name, value in counts.items()})

@@ -83,6 +83,18 @@ SPRINGS = {
 """Parts of a scene: inelastic contacts (restitution 0) and springs of given stiffness."""
 
 
+LIQUID = {
+    "contact": {
+        "normal": "hertz",
+        "tangential": "mindlin",
+        "rolling": "none",
+        "cohesion": {"law": "capillary_transfer", "max_bridge_volume": 2e-11},
+    },
+    "pair": {"restitution": 0.5, "friction": 0.4, "surface_tension": 0.01, "contact_angle": 0.3},
+}
+"""Parts of a scene with liquid films; all groups require a `liquid_content`."""
+
+
 def plane(point, normal, material="glass", **more):
     """A wall that fills a half space."""
     return {"shape": "plane", "point": list(point), "normal": list(normal), "material": material, **more}

@@ -117,7 +117,7 @@ def check(options: argparse.Namespace) -> int:
 
     plan = plan_for(scene)
     if options.mpi:
-        refuse_on_ranks(has_clumps=plan.features.clumps)
+        refuse_on_ranks(scene=scene)
     else:  # a rank has a part of the particles only
         refuse_too_many(plan)
     refuse_run_time(plan, options.allow_long)

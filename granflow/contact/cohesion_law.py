@@ -24,6 +24,8 @@ class CohesionLaw(Law):
     returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
     at_distance: ClassVar[bool] = False
     """True for a model that acts without overlap, such as a liquid bridge."""
+    transfers_liquid: ClassVar[bool] = False
+    """True for a model whose bridges take liquid from films on the particles; `form` gets the volume of a new one."""
 
     @property
     def range(self) -> float:
@@ -51,6 +53,10 @@ class CohesionLaw(Law):
     @ti.func
     def force(self, constants, contact, history):
         """Attraction [N], positive, and the history."""
+
+    @ti.func
+    def form(self, constants, contact, history, volume):
+        """The history after a bridge of a volume [m3] has formed; its first field is the volume of the bridge."""
 
     @ti.func
     def stored_energy(self, constants, contact, history):

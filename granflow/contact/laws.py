@@ -64,6 +64,11 @@ class ContactLaws:
         return self.cohesion is not None and self.cohesion.at_distance
 
     @property
+    def transfers_liquid(self) -> bool:
+        """Whether the cohesion model takes liquid from films on the particles."""
+        return self.cohesion is not None and self.cohesion.transfers_liquid
+
+    @property
     def range(self) -> float:
         """Largest distance [m] between two surfaces at which a model acts; 0 if all models require overlap."""
         return self.cohesion.range if self.cohesion is not None else 0.0

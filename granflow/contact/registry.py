@@ -3,7 +3,8 @@
 import re
 from collections.abc import Iterator, Mapping
 
-from granflow.contact.cohesion import capillary, dmt, jkr, sjkr, van_der_waals
+from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
+from granflow.contact.cohesion_law import CohesionLaw
 from granflow.contact.model import SLOTS, ContactModel
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
 from granflow.contact.options import PairOption
@@ -48,6 +49,12 @@ def models_with(key: str) -> dict[str, list[str]]:
     return {slot: names for slot, names in found.items() if names}
 
 
+def liquid_models() -> list[str]:
+    """Names of the cohesion models that transfer liquid between particles and bridges."""
+    laws = {name: model.law for name, model in models("cohesion").items()}
+    return [name for name, law in laws.items() if issubclass(law, CohesionLaw) and law.transfers_liquid]
+
+
 def _problems(model: ContactModel) -> Iterator[str]:
     """Reasons why a record cannot be registered."""
     if not any(issubclass(model.law, base) for base in SLOTS.values()):
@@ -84,5 +91,5 @@ def _undefined(model: ContactModel) -> Iterator[str]:
 
 _NORMAL = (zhou, hertz, linear, thornton, walton_braun, luding, kuwabara_kono)
 _SURFACE = (mindlin, linear_history, epsd, cdt, sds, viscous, marshall, torsion_spring)
-for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, van_der_waals):
+for _module in (*_NORMAL, *_SURFACE, sjkr, dmt, jkr, capillary, capillary_transfer, van_der_waals):
     add(_module.MODEL)

@@ -11,6 +11,9 @@ from granflow.engine.exact_sums import exact_sum
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.ranks import ALONE, Gathering
 
+EXIT_FACES = ("x_min", "y_min", "z_min", "x_max", "y_max", "z_max")
+"""Names of the faces of the domain at the smallest and the largest coordinates."""
+
 
 @dataclass
 class Accounting:
@@ -36,6 +39,8 @@ class Accounting:
     """Largest energy input [J] at all observations so far; see `energy_input`."""
     outlets: dict[str, list[float]] = field(default_factory=dict)
     """Count and mass [kg] of the particles deleted by each outlet."""
+    exits: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXIT_FACES, 0))
+    """Number of particles that left the domain outside all outlets, by the face of the domain."""
     queued_count: int | None = None
     """Particles queued for insertion; None without insertion."""
     material: list[np.ndarray] = field(default_factory=list)
@@ -67,6 +72,11 @@ class Accounting:
             sums[0] += float(by_outlet.sum())
             sums[1] += exact_sum(arrays["mass"][by_outlet])
 
+    def count_exits(self, faces: np.ndarray) -> None:
+        """Count particles that left the domain outside all outlets; `faces` (k,): indices in EXIT_FACES."""
+        for index, name in enumerate(EXIT_FACES):
+            self.exits[name] += int((faces == index).sum())
+
     def count_removed(self, mass: np.ndarray) -> None:
         """Count particles with these masses (k,) [kg] that are removed from Python.
 
@@ -89,14 +99,14 @@ class Accounting:
         return parts[0][ids] if parts else np.zeros(len(ids), BY_ID[name])
 
     def state_dict(self) -> dict[str, Any]:
-        """Numbers, sums of the outlets, and BY_ID (inserted_count,), for checkpoints."""
+        """Numbers, BY_NAME, and BY_ID (inserted_count,), for checkpoints."""
         ids = np.arange(self.inserted_count)
         by_id = {name: self.by_id(name, ids) for name in BY_ID}
-        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, "outlets")} | by_id
+        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, *BY_NAME)} | by_id
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore a state of `state_dict`."""
-        for name in (*SAVED_NUMBERS, "outlets"):
+        for name in (*SAVED_NUMBERS, *BY_NAME):
             setattr(self, name, saved[name])
         for name in BY_ID:
             setattr(self, name, [saved[name]])
@@ -104,6 +114,9 @@ class Accounting:
 
 BY_ID = {"material": np.int32, "group": np.int32, "insertion_time": np.float64}
 """Types of the arrays of Accounting that have an entry for every particle id."""
+
+BY_NAME = ("outlets", "exits")
+"""Attributes of Accounting that have an entry for each outlet and each face of the domain."""
 
 SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
 """Type of each count, mass and energy of Accounting by name."""

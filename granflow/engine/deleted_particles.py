@@ -35,12 +35,20 @@ def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, n
 
     With `on_exit: error`, sets the abort code if one of them left the domain.
     """
-    outlet_index = _outlets_of(state.plan, of_clumps(arrays)["position"].astype(float))
+    position = of_clumps(arrays)["position"].astype(float)
+    outlet_index = _outlets_of(state.plan, position)
     left_domain = outlet_index < 0
     if state.plan.domain.on_exit == "error" and left_domain.any():
         state.control.abort[0] = ABORT_LEFT_DOMAIN
         state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
     accounting.delete(arrays, outlet_index, np.array(state.plan.gravity))
+    accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
+
+
+def _exit_faces(plan: Plan, position: np.ndarray) -> np.ndarray:
+    """Index in EXIT_FACES (n,) of the face of the domain that is farthest behind each position (n, 3) [m]."""
+    beyond = np.concatenate([plan.domain_low - position, position - plan.domain_high], axis=1)
+    return np.asarray(beyond.argmax(axis=1))
 
 
 def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:

@@ -166,7 +166,7 @@ def copy_to_host(
 
 
 def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:
-    """Append n particles behind the present ones.
+    """Append n particles behind the present ones, with empty neighbor lists: a deleted one may have had their entry.
 
     arrays:  arrays (n,) or (n, 3) by field, `id` included; fields without an array have their default, fields that the
              scene does not have are ignored. Velocities are half a step back.
@@ -174,4 +174,6 @@ def append_particles(state: State, arrays: Mapping[str, np.ndarray]) -> None:
     table, count = saved_particle_table(state), len(arrays["id"])
     values = {name: arrays.get(name, PARTICLE_QUANTITIES[name].default) for name in table.fields}
     table.put(np.arange(state.count, state.count + count), values)
+    if state.neighbors.history:
+        state.built(list_table).put(np.arange(state.count, state.count + count), {"begin": 0, "end": 0})
     state.count += count

@@ -31,7 +31,17 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "velocity": new.velocity,
         "angular_velocity": new.angular_velocity,
     }
+    if plan.features.liquid_transfer:
+        arrays["liquid_film"] = _films(plan, new)
     return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
+
+
+def _films(plan: Plan, new: ParticleData) -> np.ndarray:
+    """Volumes (k,) [m3] of the films of new particles, whole units."""
+    content = np.array([group.liquid_content for group in plan.groups])
+    volume = content[new.group] * (4.0 / 3.0 * pi * new.radius**3)
+    films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
+    return films
 
 
 def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:

@@ -15,6 +15,7 @@ from granflow.engine.clumps import build_integrate_clumps, build_kick_clump
 from granflow.engine.exact_sums import build_weight_rest
 from granflow.engine.force.damping import build_add_damping_loss
 from granflow.engine.force.external_forces import build_add_external_work
+from granflow.engine.force.liquid_transfer import build_begin_step
 from granflow.engine.force.wall_forces import build_carry_impulses
 from granflow.engine.frozen_masks import build_mobility
 from granflow.engine.limits import ABORT_DISPLACEMENT, ABORT_FORCE, ABORT_NOT_FINITE
@@ -35,15 +36,15 @@ def build_integrate(state: State) -> Any:
 
     Reads:   parameters, force, torque, mass, radius, fixed, position_at_rebuild, reach
     Writes:  velocity, velocity_synchronized, angular_velocity, position, rebuild_requested, abort, abort_particle,
-             external_work, losses, impulses; as `build_wrap`, with clumps as `build_move_clump`
+             external_work, losses, impulses; as `build_wrap` and `build_begin_step`, with clumps as `build_move_clump`
     """
     particles, features = state.particles, state.plan.features
     periodic, counts_damping = features.periodic != "none", features.damping != "none" and features.energy_budget
     step_limit, wrap = state.parameter("travel_limit_squared"), build_wrap(state) if periodic else None
     add_work, carry_impulses = build_add_external_work(state), build_carry_impulses(state)
     add_damping_loss = build_add_damping_loss(state) if counts_damping else None
-    weight_rest, square_of_sums = build_weight_rest(state), _build_square_of_sums(state)
-    mobility, request, real = build_mobility(state), _build_request(state), state.backend.real
+    weight_rest, begin_step, mobility = build_weight_rest(state), build_begin_step(state), build_mobility(state)
+    square_of_sums, request, real = _build_square_of_sums(state), _build_request(state), state.backend.real
     integrate_clumps = build_integrate_clumps(state, request, square_of_sums) if features.clumps else None
     gravity, shift, per_unit, chunk_size = map(state.parameter, ("gravity", "shift", "per_unit", "chunk_size"))
 
@@ -56,13 +57,13 @@ def build_integrate(state: State) -> Any:
             if ti.static(features.clumps):
                 if particles.clump[i] >= 0:
                     continue
+            begin_step(i)
             mass, force, torque = particles.mass[i], particles.force[i], 0.0 * particles.force[i]
             kick = mobility(i) * dt / mass * (force + weight_rest(mass * acceleration, shift_of_force))
             velocity = particles.velocity[i] + kick
             if ti.static(features.rate_dependent):
                 particles.velocity_synchronized[i] = velocity + 0.5 * kick
-            # Assignments: Taichi compiles `+=` on a field to an atomic operation.
-            particles.velocity[i] = velocity
+            particles.velocity[i] = velocity  # an assignment: Taichi compiles `+=` on a field to an atomic operation
             if ti.static(features.external_forces and features.energy_budget):
                 add_work(chunk, i, particles.external_force[i], velocity, dt)
             step_displacement = dt * velocity

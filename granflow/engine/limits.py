@@ -10,10 +10,11 @@ from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
 
 ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = range(1, 8)
+ABORT_LIQUID = 8
 """Codes: a contact force above the range of the sums, a displacement per step above the limit, a position that is not
 finite, an overlap above the limit, a particle outside a domain with `on_exit: error` (set by the host), a
-force-controlled wall above its displacement limit, and a particle so far from the origin that the precision does not
-resolve its position (set by the host)."""
+force-controlled wall above its displacement limit, a particle so far from the origin that the precision does not
+resolve its position (set by the host), and a film from which bridges have taken more liquid than it had."""
 
 ABORT_REASONS = {
     ABORT_FORCE: "force",
@@ -23,6 +24,7 @@ ABORT_REASONS = {
     ABORT_LEFT_DOMAIN: "left_domain",
     ABORT_WALL: "wall",
     ABORT_FAR: "far",
+    ABORT_LIQUID: "liquid",
 }
 """Reason of each code, as in Diagnosis.reason."""
 
@@ -145,6 +147,15 @@ def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     )
 
 
+def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Bridges that formed in one step have taken more liquid than the film had."""
+    return (
+        f"the bridges that form in one step on {diagnosis.body} at {time:.6g} s take more liquid than its film has, "
+        "because it overlaps with particles or walls that overlap with each other. Move them apart, or start the "
+        "particles with gaps."
+    )
+
+
 def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Displacement of a force-controlled wall in one step above the limit."""
     kind = next(
@@ -208,4 +219,5 @@ _REASONS = {
     "left_domain": _left_domain,
     "wall": _wall,
     "far": _far,
+    "liquid": _liquid,
 }

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.exact_sums import SHARES, chunk_words, exact_totals
+from granflow.engine.force.contact_statistics import LIQUID_SUMS
 from granflow.engine.particle_sums import ParticleSums
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import controlled_totals, controlled_work
@@ -43,6 +44,8 @@ def totals_of(
         "overlap_largest": measured["overlap_largest"],
         "coordination_number": sums.coordination_number,
     }
+    if plan.features.liquid_transfer:
+        totals |= {name: measured[name] for name in LIQUID_SUMS}
     if plan.features.walls:
         totals["wall_contact_count"] = sums.wall_contact_count
     if plan.features.lees_edwards:

@@ -49,6 +49,10 @@ def _clumps(features: Any) -> bool:
     return bool(features.clumps)
 
 
+def _liquid(features: Any) -> bool:
+    return bool(features.liquid_transfer)
+
+
 _CLUMP_FIELDS = (
     FieldSpec(
         "clump", "", "1", "id of the first sphere of the clump, -1 for a single sphere; only in scenes with "
@@ -93,6 +97,17 @@ _CLUMP_FIELDS = (
     FieldSpec(
         "index_of_id", "", "1", "index of the particle with an id, since the last neighbor-list rebuild",
         in_snapshot=False, dtype="i32", condition=_clumps, sorted=False, saved=False, displayed=False,
+    ),
+)  # fmt: skip
+
+_LIQUID_FIELDS = (
+    FieldSpec(
+        "liquid_film", "L", "m3", "volume of the liquid film; only with a cohesion model that transfers liquid",
+        file_type="float64", dtype="real", condition=_liquid, block="liquid",
+    ),
+    FieldSpec(
+        "liquid_film_before", "L", "m3", "volume of the film before the forces of this step, from which bridges take "
+        "their part", in_snapshot=False, dtype="real", condition=_liquid, block="liquid", saved=False, displayed=False,
     ),
 )  # fmt: skip
 
@@ -165,6 +180,7 @@ _PARTICLE_FIELDS = {
             file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
         ),
         *_CLUMP_FIELDS,
+        *_LIQUID_FIELDS,
         FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
         FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
         FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),

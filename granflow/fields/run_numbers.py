@@ -17,6 +17,8 @@ _STATE_QUANTITIES = by_name(
         Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the radius"),
         Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
         Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"),
+        Quantity("liquid_film_volume", "", "m3", "liquid in the films of the particles; only with liquid transfer"),
+        Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
         Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
     )
 )

@@ -15,6 +15,8 @@ from granflow.plan.damping import planned_damping, refuse_unresolved_drag
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
 from granflow.plan.features import features_of, reasons_for
 from granflow.plan.forecast.build import forecasts_of
+from granflow.plan.forecast.sizes import size_problems
+from granflow.plan.liquid import refuse_coarse_liquid
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
 from granflow.plan.motion_period import refuse_fast_motion
@@ -73,6 +75,15 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     >>> gf.plan_for(gf.load_scene("two.yaml")).step.value > 0
     True
     """
+    try:
+        plan = _plan_without_forecasts(scene, on_gpu)
+    except SceneError as error:  # errors of time step and velocities can result from a wrong unit of a length
+        raise SceneError([*size_problems(scene), *error.problems]) from None
+    return replace(plan, forecasts=tuple(forecasts_of(scene, plan)))
+
+
+def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
+    """The plan of a scene, without forecasts. Raises the errors of `plan_for`."""
     materials = _used_materials(scene)
     walls = planned_walls(scene, {name: number for number, name in enumerate(materials)})
     impact_velocity = max_impact_velocity(scene)
@@ -87,6 +98,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     features = features_of(scene, models, law.rate_dependent)
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
+    refuse_coarse_liquid(scene, features.liquid_transfer)
     pair_cases = pair_cases_of(scene, groups, solids, pairs)
     adhesion = adhesion_velocity(laws, pair_cases)
     step = _time_step(scene, pair_cases, law, velocity + adhesion, 2.0 * radius_max)
@@ -123,7 +135,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     )
     _refuse_fast(scene, plan, speeds)
     _refuse_collision_energies(scene, plan)
-    return replace(plan, forecasts=tuple(forecasts_of(scene, plan)))
+    return plan
 
 
 def _refuse_geometry(scene: Scene, walls: tuple[PlannedWall, ...], radius_max: float, reach: float) -> None:

@@ -49,6 +49,8 @@ class Features:
     damping: str
     """Kinds of damping of all motion, "cundall", "drag" or both, or "none"."""
     clumps: bool = False
+    liquid_transfer: bool = False
+    """Whether the cohesion model takes liquid from films on the particles."""
     external_forces: bool = False
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
@@ -94,6 +96,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         size_classes=str(len(classes)) if len(classes) > 1 else "none",
         damping=" and ".join(_damping_kinds(scene.damping)) or "none",
         clumps=clumps,
+        liquid_transfer=_name(models, "cohesion") in registry.liquid_models(),
     )
 
 
@@ -140,6 +143,7 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "size_classes": _sizes_reason(scene),
         "damping": _damping_reason(scene),
         "clumps": _clumps_reason(scene, features),
+        "liquid_transfer": _liquid_reason(scene, features),
         "external_forces": "forces are added from Python only",
     }
     return tuple(
@@ -242,6 +246,12 @@ def _clumps_reason(scene: Scene, features: Features) -> str:
         return "no group of particles has clumps"
     names = [name for name, group in scene.particles.items() if group.clump]
     return f"{', '.join(names)} ({scene.where('particles', names[0], 'clump')})"
+
+
+def _liquid_reason(scene: Scene, features: Features) -> str:
+    if not features.liquid_transfer:
+        return "no cohesion model takes liquid from films on the particles"
+    return f"contact.cohesion is {features.cohesion} ({scene.where('contact', 'cohesion')})"
 
 
 def _time_step_reason(scene: Scene) -> str:

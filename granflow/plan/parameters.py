@@ -31,6 +31,8 @@ def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
     yield from (_scalar(name, "real", value) for name, value in _limits(plan).items())
     yield from (_scalar(name, "position", value) for name, value in _lengths(plan).items())
     yield from _of_sums(plan)
+    if plan.features.liquid_transfer:
+        yield _scalar("liquid_unit", "f64", plan.liquid_unit)
     yield _vector("gravity", "f64", plan.gravity)
     yield _vector("box_width", "position", plan.periodic_box.width)
     yield _vector("domain_low", "position", plan.domain_low)

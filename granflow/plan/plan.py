@@ -29,6 +29,7 @@ from granflow.plan.capacities import (
     rounded_capacity,
 )
 from granflow.plan.decisions import Decisions
+from granflow.plan.liquid import liquid_unit
 from granflow.plan.pair_cases import sphere_mass
 from granflow.plan.resolution import coordinate_limit
 from granflow.plan.sum_units import SumUnits, sum_units
@@ -115,6 +116,11 @@ class Plan(Decisions):
             self.pair_cases, self.law, self.velocity_max, self.max_overlap, self.radius_max, self.longest_time_step,
             farthest, self.largest_weight,
         )  # fmt: skip
+
+    @cached_property
+    def liquid_unit(self) -> float:
+        """Unit [m3] of liquid volumes, a power of two, see `liquid`."""
+        return liquid_unit(self.groups)
 
     @property
     def largest_weight(self) -> float:

@@ -12,7 +12,7 @@ class PlannedGroup:
     """One group of particles: name, number of particles, name of the material, whether its particles are fixed.
 
     `diameters` [m]: smallest and largest, of spheres. `source`: position of its count in the scene file. `clump`: shape
-    of its particles; None for spheres.
+    of its particles; None for spheres. `liquid_content`: initial volume of the film over that of the particle.
     """
 
     name: str
@@ -22,6 +22,7 @@ class PlannedGroup:
     diameters: tuple[float, float]
     source: str
     clump: ClumpShape | None = None
+    liquid_content: float = 0.0
 
     @property
     def sphere_count(self) -> int:
@@ -73,6 +74,7 @@ def planned_groups(scene: Scene) -> tuple[PlannedGroup, ...]:
             *(name, group.count, group.material, group.fixed, diameter_range(group)),
             scene.locate("particles", name, "count"),
             None if group.clump is None else group.clump.shape,
+            group.liquid_content or 0.0,
         )
         for name, group in scene.particles.items()
     )

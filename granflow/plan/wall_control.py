@@ -49,6 +49,19 @@ class ControlledMotion:
     source: str
     """Line of the motion in the scene file."""
 
+    def approach(self, error: float) -> tuple[float, str]:
+        """Velocity [m/s] of a servo at a force error [N] of either sign, and the limit that determines it in words."""
+        velocity = self.gain * abs(error)
+        if velocity < self.velocity_max:
+            force = "force" if error == self.force else "force error"
+            return velocity, f"gain times {force}, less than velocity_max {self.velocity_max:.3g} m/s"
+        return self.velocity_max, "velocity_max"
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether gain and force, instead of velocity_max, limit the velocity of a servo without contacts."""
+        return self.gain * abs(self.force) < self.velocity_max
+
     @property
     def key(self) -> str:
         """Key in messages and checkpoints."""

@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from granflow.engine.accounting import BY_ID, SAVED_NUMBERS
+from granflow.engine.accounting import BY_ID, BY_NAME, EXIT_FACES, SAVED_NUMBERS
 from granflow.engine.checkpoint import CLOCKS
 from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, Part
@@ -166,7 +166,7 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
 
     `count`: particles present, which is the inserted minus the deleted number.
     """
-    accounting.mapping((*SAVED_NUMBERS, "outlets", *BY_ID))
+    accounting.mapping((*SAVED_NUMBERS, *BY_NAME, *BY_ID))
     inserted = accounting["inserted_count"].integer(count, MOST_IDS)  # Python can remove particles and add others
     accounting["deleted_count"].integer(inserted - count, inserted - count)
     for name, kind in SAVED_NUMBERS.items():
@@ -174,6 +174,8 @@ def _check_accounting(accounting: Part, count: int, plan: Plan) -> None:
     for outlet in accounting["outlets"].parts([outlet.name for outlet in plan.outlets]):
         for each in outlet.items(2):
             each.number(0.0, LARGEST_REAL)
+    for face in accounting["exits"].parts(EXIT_FACES):
+        face.integer(0, MOST_IDS)
     accounting["material"].integers(inserted, high=len(plan.solids) - 1)
     accounting["group"].integers(inserted, high=len(plan.groups) - 1)
     accounting["insertion_time"].floats(inserted)

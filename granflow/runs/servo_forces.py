@@ -95,8 +95,14 @@ def _sentence(
         reached, target = (
             f"{text} ({value / area:.3g} Pa)" for text, value in ((reached, force), (target, motion.force))
         )
-    state = "does not touch the particles" if is_untouched and force == 0.0 else "is off its target"
+    is_away = is_untouched and force == 0.0
+    state = "does not touch the particles" if is_away else "is off its target"
+    velocity, limit = motion.approach(motion.force - force)
+    remedy = "more time or a larger velocity_max"
+    if limit != "velocity_max":
+        remedy = "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
     return (
         f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the servo {state}: "
-        f"{reached} instead of {target}. Give it more time, raise velocity_max or gain, or start it closer to the bed."
+        f"{reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it {remedy}"
+        + (", start it closer to the bed, or approach by a translation." if is_away else ".")
     )

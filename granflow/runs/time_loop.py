@@ -11,6 +11,7 @@ from granflow.engine.limits import abort_message
 from granflow.errors import RunError, StopRun
 from granflow.observers.base import TOTALS
 from granflow.plan.scene_parts import PlannedStage
+from granflow.runs.exits import log_exits
 from granflow.runs.rest import REST_CHECKS, ends_at_rest, warn_without_rest
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
@@ -224,6 +225,7 @@ class TimeLoop:
         """Numbers of the run at its end, which is logged."""
         result = self.result()
         self.state.insertion.log_end()
+        log_exits(self.engine, result)
         self.state.observers.log_end()
         self.log_end()
         return result

@@ -6,7 +6,7 @@ check runs, so that one mistake does not cause consequential messages.
 
 from collections.abc import Callable, Iterator
 
-from granflow.scene.checks import clumps, output, pairs, regions, stages
+from granflow.scene.checks import clumps, liquid, output, pairs, regions, stages
 from granflow.scene.document import Problem
 from granflow.scene.messages import problem_at
 from granflow.scene.partial import PartialScene
@@ -31,6 +31,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]]
     (("domain",), regions.inside_domain),
     (("domain", "particles", "output"), regions.lees_edwards),
     (("domain", "run", "output"), clumps.unsupported),
+    (("contact",), liquid.transfer),
     (("output", "stages", "domain"), output.field_grids),
     (("output", "gravity", "domain"), output.metrics),
     (("output", "expect", "stages"), output.expected_names),

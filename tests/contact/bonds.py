@@ -27,9 +27,10 @@ def pair_with(**options):
 
 
 def law_of(name, pair):
-    """The cohesion model of this name for a pair, with the energy budget."""
-    return models("cohesion")[name].law.from_scene(
-        ModelRequest({}, (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
+    """The cohesion model of this name for a pair, with its example options and the energy budget."""
+    model = models("cohesion")[name]
+    return model.law.from_scene(
+        ModelRequest(model.example, (pair,), 1.0, 0.5, energy_budget=True, radius_eff_max=RADIUS)
     )
 
 
@@ -43,10 +44,11 @@ class BondResult:
     history: np.ndarray
 
 
-def evaluate_bonds(law, pair, overlap):
-    """Attraction along overlaps (contacts, steps) [m], which may be negative."""
+def evaluate_bonds(law, pair, overlap, first=0.0):
+    """Attraction along overlaps (contacts, steps) [m], which may be negative; `first`: first history field before."""
     found = [np.zeros(overlap.shape) for _ in range(3)]
     history = np.zeros((*overlap.shape, max(law.history_count, 1)))
+    history[:, 0, 0] = first
     row = np.array(law.pair_constants(pair)), np.array(list(law.parameters.values()) or [0.0])
     bond_kernel(law)(*row, np.ascontiguousarray(overlap), *found, history)
     return BondResult(*found, history)
@@ -70,6 +72,7 @@ def bond_kernel(law):
                  history: cube):  # fmt: skip
         for i in range(overlap.shape[0]):
             state = ti.Vector.zero(ti.f64, size)
+            state[0] = history[i, 0, 0]
             constants = constants_of(vector(pair, counts[0]), vector(parameters, counts[1])).surface
             for s in range(overlap.shape[1]):
                 contact = ti.Struct(
@@ -86,12 +89,12 @@ def bond_kernel(law):
     return evaluate
 
 
-def evaluate_reference_bonds(law, pair, overlap):
-    """Attraction [N] along overlaps by the reference implementation."""
+def evaluate_reference_bonds(law, pair, overlap, **first):
+    """Attraction [N] along overlaps by the reference implementation; `first`: history before."""
     constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(pair), strict=True)))
     attraction = np.zeros(overlap.shape)
     for i, path in enumerate(overlap):
-        history = {}
+        history = first
         for s, d in enumerate(path):
             state = ContactState(constants, RADIUS, 1.0, 1.0, float(d), 0.0, SimpleNamespace(**history))
             attraction[i, s], history = law.reference(state)

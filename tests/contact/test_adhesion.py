@@ -82,6 +82,27 @@ def test_capillary_work_and_force(taichi_f64):
     assert found.lost[0, -1] == pytest.approx(work, rel=1e-9)
 
 
+def test_bridge_of_a_given_volume_is_that_of_the_model_with_constant_volume(taichi_f64):
+    """Force, stored energy and rupture of `capillary_transfer` once the bridge exists, and its reference."""
+    pair, volume = pair_with(), OPTIONS["liquid_volume"]
+    constant, transfer = law_of("capillary", pair), law_of("capillary_transfer", pair)
+    overlap = np.linspace(0.2 * constant.range, -1.1 * constant.range, 5000)[None, :]
+    expected, found = evaluate_bonds(constant, pair, overlap), evaluate_bonds(transfer, pair, overlap, volume)
+    ruptured = found.history[0, :, 0] == 0.0
+    np.testing.assert_array_equal(ruptured, expected.history[0, :, 0] == 0.0)
+    assert 0 < ruptured.sum() < 1000 and set(found.history[0, :, 0]) == {0.0, volume}
+    np.testing.assert_allclose(found.attraction, expected.attraction, rtol=1e-13)
+    np.testing.assert_allclose(found.stored, expected.stored, rtol=0.0, atol=1e-13 * np.abs(expected.stored).max())
+    reference = evaluate_reference_bonds(transfer, pair, overlap, bridge_volume=volume)
+    np.testing.assert_allclose(found.attraction, reference, rtol=1e-13)
+
+
+def test_dry_contact_has_no_attraction(taichi_f64):
+    law, pair = law_of("capillary_transfer", pair_with()), pair_with()
+    found = evaluate_bonds(law, pair, random_distances(law))
+    assert not found.attraction.any() and not found.stored.any() and not found.history.any()
+
+
 def random_distances(law, contacts=100, steps=60, seed=7):
     """Overlaps [m] with touches, separations within the range and ruptures."""
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scene_builders import (
     DASHPOTS,
+    LIQUID,
     SPRINGS,
     box,
     build_scene,
@@ -136,6 +137,32 @@ def test_gpu_code_path_is_bit_identical_to_the_cpu_code_path():
     assert cpu[2] > 20
     assert gpu[0] == cpu[0]
     assert gpu[2:] == cpu[2:]
+
+
+def liquid_fingerprint(threads, in_parallel, as_on_gpu=False):
+    """Digest of a falling lattice with liquid films, volume of all bridges, and of all liquid [m3]."""
+    if in_parallel:
+        workers.SINGLE_WORKER_PARTICLES = 0
+    if as_on_gpu:
+        backend.Backend.on_cpu = property(lambda self: False)
+    lattice = moving_lattice((8, 8, 4), largest=0.006, speed=0.3) | {"liquid_content": 0.01}
+    scene = build_scene(
+        {"lattice": lattice}, walls=vibrating_box(0.06), gravity=[0.0, 0.0, -9.81],
+        numerics={"chunk_size": 1 if as_on_gpu else 16},
+        run={"duration": 0.015, "velocity_max": 2.0, "time_step": 2e-6}, **LIQUID,
+    )  # fmt: skip
+    last, _ = run_to_end(scene, threads=threads)
+    order = np.argsort(last.particles["id"])
+    arrays = [np.ascontiguousarray(last.particles[name][order]) for name in ("position", "velocity", "liquid_film")]
+    digest = hashlib.sha256(b"".join(each.tobytes() for each in arrays)).hexdigest()
+    films, bridges = (last.totals[f"liquid_{name}_volume"] for name in ("film", "bridge"))
+    return digest, bridges, films + bridges
+
+
+def test_liquid_is_bit_identical_for_any_thread_count_and_on_the_gpu_code_path():
+    one, two, gpu = (in_subprocess(liquid_fingerprint, *each) for each in ((1, False), (2, True), (2, True, True)))
+    assert one[1] > 0.0
+    assert one == two == gpu
 
 
 @pytest.mark.slow

@@ -44,6 +44,9 @@ def test_servo_that_never_touches_the_bed_is_reported_once(taichi_f64, tmp_path,
     assert len(found) == 1 and found == [each for each in caplog.messages if "does not touch the particles" in each]
     assert "walls.lid.motion" in found[0] and "stage press (0.005" in found[0]
     assert "0 N (0 Pa) instead of 0.5 N (312 Pa)" in found[0]
+    assert (
+        "less than velocity_max 0.5 m/s. Give it more time, a larger gain or a higher target force, start" in found[0]
+    )
 
 
 def test_servo_at_its_target_is_not_reported(taichi_f64, tmp_path):
@@ -55,6 +58,7 @@ def test_servo_that_still_approaches_its_target_is_reported(taichi_f64, tmp_path
     (sentence,) = warned(lid_scene(0.0, 0.01, gain=2e-4), tmp_path)
     reached = float(sentence.split("target: ")[1].split(" N")[0])
     assert 0.0 < reached < 0.95 * TARGET
+    assert "less than velocity_max 0.5 m/s. Give it more time or a larger gain." in sentence
 
 
 def test_fluctuations_about_the_target_are_tolerated_and_a_deviation_of_the_mean_is_not(taichi_f64):

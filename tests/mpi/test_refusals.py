@@ -39,6 +39,17 @@ def test_clumps_are_refused_by_check(tmp_path, capsys):
     assert main(["check", str(path)]) == 0
 
 
+def test_liquid_transfer_is_refused_by_check(tmp_path, capsys):
+    cohesion = {"law": "capillary_transfer", "max_bridge_volume": 1e-9}
+    pair = {"surface_tension": 0.07, "contact_angle": 0.0}
+    contact = {"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": cohesion}
+    wet = particle_group([[0, 0, 0]], liquid_content=0.01)
+    path = build_scene({"wet": wet}, pair=pair, contact=contact).save(tmp_path / "scene.yaml")
+    assert main(["check", str(path), "--mpi"]) == 2
+    assert "contact.cohesion: capillary_transfer does not work on MPI ranks" in capsys.readouterr().err
+    assert main(["check", str(path)]) == 0
+
+
 def test_forces_from_python_are_refused():
     with pytest.raises(GranflowError, match="Forces from Python do not work on MPI ranks"):
         refuse_on_ranks("cpu", [object()])

@@ -11,13 +11,15 @@ from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
 MOVING = {"kind": "vibration", "direction": [0, 0, 1], "amplitude": 1e-3, "frequency": 60.0}
 
 
-def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
+def complex_scene(duration=0.02, rest=False, normal="zhou", of_groups=None, **parts):
     """Rain into a vibrated box above a falling lattice; two materials, three stages, chunks of 32 particles.
 
     Friction, rolling springs, the energy budget, collision energies, a flow meter, fields and metrics are enabled. A
     row of fixed particles lies in the gate, which is removed after the first stage; an inlet inserts particles through
     a face. The floor and one side wall are removed after the second stage; particles are deleted at `domain.max` before
     they reach that wall.
+
+    of_groups:  further keys of all groups
     """
     walls = {name: wall for name, wall in box(0.06).items() if name != "low_z"}
     walls["floor"] = plane([0, 0, 0.0195], [0, 0, 1], "steel", motion=[MOVING], stages=["fill", "shake"])
@@ -70,7 +72,8 @@ def complex_scene(duration=0.02, rest=False, normal="zhou", **parts):
             "fields": {"bed": {"cell": 0.01, "stages": ["shake", "out"]}},
         },
     }  # fmt: skip
-    return build_scene({"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}, **(defaults | parts))
+    groups = {"lattice": lattice, "rain": rain, "row": row, "inlet": inlet}
+    return build_scene({name: group | (of_groups or {}) for name, group in groups.items()}, **(defaults | parts))
 
 
 def files_of(out):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from resume.runs import complex_scene, files_of, states_of
-from scene_builders import DASHPOTS, SOFT, SPRINGS
+from scene_builders import DASHPOTS, LIQUID, SOFT, SPRINGS
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
@@ -82,6 +82,16 @@ def test_restart_is_bit_identical_for_tangential_rolling_and_twisting_models(tmp
     losses = read_checkpoint(checkpoints[-1]).saved["engine"]["energy_budget"]["losses"]
     _, friction, rolling, damping, _ = exact_totals(losses, 1.0)
     assert friction and rolling and damping
+
+
+def test_restart_is_bit_identical_with_liquid_films_and_bridges(tmp_path, taichi_f64):
+    scene = complex_scene(0.009, of_groups={"liquid_content": 0.01}, **LIQUID)
+    checkpoints = run_to_end(scene, tmp_path / "whole")
+    for k in (4, 8):  # before and after two walls are removed
+        engine = read_checkpoint(checkpoints[k]).saved["engine"]
+        assert (engine["contacts"]["cohesion"][:, 0] > 0.0).sum() > 20
+        resume_copy(scene, tmp_path / "whole", tmp_path / f"again_{k}", checkpoints[k])
+        assert_identical(tmp_path / "whole", tmp_path / f"again_{k}")
 
 
 SPRING = {"stiffness": {"reference_velocity": 1.0}}

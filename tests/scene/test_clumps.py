@@ -90,7 +90,7 @@ def test_part_that_does_not_support_clumps_is_refused(name):
 
 def test_ranks_are_refused():
     with pytest.raises(GranflowError, match="Clumps do not work on MPI ranks"):
-        refuse_on_ranks(has_clumps=True)
+        refuse_on_ranks(scene=build_scene({"rods": clump_group([[0.0, 0.0, 0.0]])}))
 
 
 def test_mass_of_a_group_gives_the_number_of_clumps():

@@ -124,6 +124,19 @@ def test_errors_are_separated_from_noise():
     assert study.best is noisy
 
 
+@pytest.mark.parametrize(("fastest", "precision"), [(0.9, "f64"), (1.1, "f32")])
+def test_a_lower_precision_must_be_faster_than_the_scatter_of_wall_times(fastest, precision):
+    """Three runs in f64 take `fastest`, 1.2 and 1.3 s; in f32 all take 1 s."""
+    heights = (1.00, 1.02, 0.98)
+    times = (fastest, 1.2, 1.3)
+    double = [outcome(1e-5, h, seconds) for h, seconds in zip(heights, times, strict=True)]
+    runs = [
+        _Runs("fixed", "f64", 0.1, 1e-5, 0.001, double),
+        _Runs("fixed", "f32", 0.1, 1e-5, 0.001, [outcome(1e-5, h, 1.0) for h in heights]),
+    ]
+    assert _study(runs, 0.1, "made up", (0.1, 1e-5), 12, 3, 0.01).best.precision == precision
+
+
 def test_the_recommendation_is_a_row_of_the_table():
     study = synthetic_study()
     sentence, rows = scene_recommendation(study), scene_rows(study)

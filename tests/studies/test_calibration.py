@@ -14,7 +14,7 @@ from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.results import _best_target, result_of
 from granflow.studies.calibration.run import read_calibration, run_calibration
 from granflow.studies.calibration.schema import Parameter, Target
-from granflow.studies.calibration.search import Search, deviation_in_units, from_unit, settings_of, to_unit
+from granflow.studies.calibration.search import JOURNAL, Search, deviation_in_units, from_unit, settings_of, to_unit
 from granflow.studies.calibration.targets import (
     deviation,
     given_text,
@@ -101,6 +101,15 @@ def test_journal_of_another_calibration_is_refused(tmp_path):
     runner(tmp_path)
     with pytest.raises(GranflowError, match="trials of a calibration with other scenes, parameters or targets"):
         runner(tmp_path, CALIBRATION.replace("1 mJ", "2 mJ"))
+
+
+def test_lock_of_a_killed_process_is_released(tmp_path, monkeypatch):
+    """A process that is killed while it writes the journal leaves its lock; the path is relative."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("granflow.studies.calibration.search.LOCK_GRACE", 3)
+    runner(Path())
+    (Path(JOURNAL + ".lock")).touch()
+    assert runner(Path()).search.next_trial() is not None
 
 
 def test_trials_of_a_killed_process_are_repeated(tmp_path):

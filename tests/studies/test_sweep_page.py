@@ -64,7 +64,7 @@ def test_page_of_a_sobol_sweep_has_indices_and_all_points(tmp_path):
     pytest.importorskip("plotly")
     pytest.importorskip("SALib")
     sweep, table = swept(tmp_path, sampling={"kind": "sobol", "count": 64})
-    write_sweep_page(tmp_path, sweep, "study", table)
+    write_sweep_page(tmp_path, sweep, table)
     page = (tmp_path / "sweep.html").read_text()
     assert len(table.rows) == 64 * 5 and all(f"runs/run{k}" in page for k in range(320))
     (indices,), why = sobol_indices(sweep, table)
@@ -76,7 +76,7 @@ def test_page_of_a_sobol_sweep_has_indices_and_all_points(tmp_path):
 def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
     pytest.importorskip("plotly")
     sweep, table = swept(tmp_path, aborts=(4,))
-    write_sweep_page(tmp_path, sweep, "study", table)
+    write_sweep_page(tmp_path, sweep, table)
     page = (tmp_path / "sweep.html").read_text()
     assert "Two parameters" in page and "overlap above the limit" in page and ">reason</th>" in page
     assert "standard error" not in page and "equal intervals" not in page  # one seed, few values
@@ -93,7 +93,7 @@ def test_page_of_a_sweep_has_degrees_and_the_units_of_the_sweep_file(tmp_path):
     (made.directory / "result.json").write_text(json.dumps(angles))
     outcomes = {made.request.directory: final_outcome(made.directory)}
     table = table_of(tuple(sweep.vary), sweep.read, [(point, [made])], outcomes)
-    write_sweep_page(tmp_path, sweep, "study", table)
+    write_sweep_page(tmp_path, sweep, table)
     page = (tmp_path / "sweep.html").read_text()
     assert ">22.918</td>" in page and "a.x [deg] = 20" in page and "angle_of_repose.left [deg] = 22.92" in page
     assert "1 of 1 runs, named by a.x [deg]." in page and '"name":"20"' in page
@@ -183,7 +183,7 @@ def test_browser_draws_each_plot(tmp_path, parameters, plots):
         for k, point in enumerate(design_points(sweep))
     ]
     outcomes = {each.request.directory: final_outcome(each.directory) for _, (each,) in points}
-    write_sweep_page(tmp_path, sweep, "study", table_of(tuple(sweep.vary), sweep.read, points, outcomes))
+    write_sweep_page(tmp_path, sweep, table_of(tuple(sweep.vary), sweep.read, points, outcomes))
     command = [CHROMIUM, "--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     command += ["--virtual-time-budget=9000", "--dump-dom", (tmp_path / "sweep.html").as_uri()]
     page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
@@ -197,7 +197,7 @@ def test_plots_follow_the_width_of_the_page(tmp_path):
     """The page becomes 300 pixels wide after the plots are drawn, without an event of the window."""
     pytest.importorskip("plotly")
     sweep, table = swept(tmp_path)
-    write_sweep_page(tmp_path, sweep, "study", table)
+    write_sweep_page(tmp_path, sweep, table)
     page = tmp_path / "sweep.html"
     script = "<script>setTimeout(() => { document.body.style.width = '300px'; }, 6000);</script></body>"
     page.write_text(page.read_text().replace("</body>", script))
@@ -236,7 +236,7 @@ def test_page_of_a_calibration_has_best_values_and_remarks(tmp_path):
         "the scatter between runs; energy changes by "
     )
     write_result(tmp_path, result)
-    write_calibration_page(tmp_path, search.calibration, "study", result)
+    write_calibration_page(tmp_path, search.calibration, result)
     page = (tmp_path / "calibration.html").read_text()
     assert (friction.importance, restitution.importance) == (0.0, 1.0)
     assert friction.not_identified in page and ">Importance</h2>" in page

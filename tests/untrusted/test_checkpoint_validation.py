@@ -101,6 +101,7 @@ CHANGES = {
     "group": (put(*ACCOUNTING, "group", entry=0, value=5), "group holds 5"),
     "material": (put(*ACCOUNTING, "material", entry=0, value=-1), "material holds -1"),
     "accounting without an entry": (put(*ACCOUNTING, value={}), "accounting has the keys none"),
+    "number of exits": (put(*ACCOUNTING, "exits", "x_min", value=-1), "x_min is -1"),
     "number as particles": (put(*PARTICLES, value=3), "must be a mapping"),
     "step count": (put("engine", "clock", "step_count", value=-5), "step_count is -5"),
     "time step": (put("engine", "clock", "time_step", value=0.0), "time_step is 0.0"),

@@ -32,6 +32,8 @@ VARIANTS: dict[str, Sequence[tuple[str, dict[str, Any]]]] = {
     "kuwabara_kono": [("reference 1 m/s", {}), ("reference 0.1 m/s", {"reference_velocity": 0.1})],
 }
 """Label and options of the curves of a normal model; other models have one curve."""
+BRIDGE_VOLUMES = (1e-17, 1e-16, 1e-15)
+"""Volumes [m3] of the bridges in the picture of a model that transfers liquid."""
 
 
 def picture(slot: str, name: str) -> str:
@@ -151,21 +153,32 @@ def _cohesion(name: str) -> str:
     """Hertz force minus attraction while a soft sphere is pulled from a wall."""
     figure, (axis,) = _figure(1)
     material = PairMaterial(MODULUS, 0.3 * MODULUS, 1.0, 0.0, options=ADHESION)
-    law: Any = registry.models("cohesion")[name].law.from_scene(
-        ModelRequest({}, (material,), 1.0, 0.5, radius_eff_max=RADIUS)
-    )
+    model = registry.models("cohesion")[name]
+    law: Any = model.law.from_scene(ModelRequest(model.example, (material,), 1.0, 0.5, radius_eff_max=RADIUS))
     constants = SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(material), strict=True)))
     overlap = np.linspace(max(1e-6, 0.2 * law.range), -1.1 * law.range, 2000)
+    starts: list[tuple[str, dict[str, float]]] = [("", {})]
+    if law.transfers_liquid:
+        starts = [(f"bridge of {volume * 1e15:g} pl", {"bridge_volume": volume}) for volume in BRIDGE_VOLUMES]
+    for color, (label, start) in zip(COLORS, starts, strict=False):
+        force = _pulled_force(law, constants, overlap, start)
+        axis.plot(overlap * 1e6, force * 1e6, color=color, label=label)
+    if law.transfers_liquid:
+        axis.legend(frameon=False, labelcolor=GRAY, fontsize=9)
+    axis.axhline(0.0, color=GRAY, lw=0.6)
+    _label(axis, "overlap [um]", "repulsive force [uN]")
+    return _svg(figure)
+
+
+def _pulled_force(law: Any, constants: SimpleNamespace, overlap: np.ndarray, start: Mapping[str, Any]) -> np.ndarray:
+    """Hertz force minus attraction (n,) [N] along overlaps (n,) [m], from a history at the start."""
     force: list[float] = []
-    history: Mapping[str, Any] = {}
+    history = start
     for distance in overlap:
         contact = ContactState(constants, RADIUS, 1.0, 1.0, float(distance), 0.0, SimpleNamespace(**history))
         attraction, history = law.reference(contact)
         force.append(theory.hertz_stiffness(MODULUS, RADIUS) * max(distance, 0.0) ** 1.5 - attraction)
-    axis.plot(overlap * 1e6, np.array(force) * 1e6, color=COLORS[0])
-    axis.axhline(0.0, color=GRAY, lw=0.6)
-    _label(axis, "overlap [um]", "repulsive force [uN]")
-    return _svg(figure)
+    return np.array(force)
 
 
 def _sjkr() -> str:

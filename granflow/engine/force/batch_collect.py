@@ -5,6 +5,7 @@ from typing import Any
 from granflow.engine.exact_sums import build_to_grid
 from granflow.engine.force.batch_columns import build_add_to_sums
 from granflow.engine.force.distant_force import build_distant_force
+from granflow.engine.force.liquid_transfer import build_return_liquid
 from granflow.engine.force.pair_force import (
     build_in_contact,
 )
@@ -90,14 +91,14 @@ def _build_attract(state: State) -> Any:
     chunk, pose, time step. The force is rounded for the exact sums.
 
     Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  sums of the batch, history, in_contact, losses, boundary_work
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work, liquid_film
     """
     features, to_grid, shift = (
         state.plan.features,
         build_to_grid(state.backend.real),
         state.parameter("shift"),
     )
-    add_to_sums = build_add_to_sums(state)
+    add_to_sums, return_liquid = build_add_to_sums(state), build_return_liquid(state)
     distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
     pair_constants, effective, has_history = (
@@ -121,6 +122,7 @@ def _build_attract(state: State) -> Any:
             if ti.static(features.energy_budget and features.lees_edwards):
                 add_boundary_work(chunk, i, j, force, pose, dt)
         elif ti.static(has_history):
+            return_liquid(chunk, i, j, list_index)
             add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
 
     return attract

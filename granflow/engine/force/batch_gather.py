@@ -3,11 +3,13 @@
 from typing import Any
 
 from granflow.engine.force.batch_columns import store_vector
+from granflow.engine.force.liquid_transfer import build_form_bridge, transfers_liquid
 from granflow.engine.force.pair_force import (
     effective_value,
     normal_time_step,
 )
 from granflow.engine.force.pair_kinematics import (
+    build_effective,
     build_pair_constants,
     build_pair_number,
 )
@@ -22,12 +24,12 @@ from granflow.kernel_language import ti
 
 
 def build_gather(state: State) -> Any:
-    """Device function (worker, end, pose, time_step): gather velocities, masses and histories into columns.
+    """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into columns.
 
-    Evaluates `NormalLaw.prepare`, which has branches, so that `evaluate` has none.
+    Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
 
     Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
-    Writes:  columns of the batch
+    Writes:  columns of the batch, liquid_film
     """
     plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
     features, stored, pair_number = plan.features, state.neighbors.history, build_pair_number(state)
@@ -37,17 +39,21 @@ def build_gather(state: State) -> Any:
         build_contact_mass(state),
         _build_prepare(state),
     )
+    liquid = transfers_liquid(state)
+    with_bridge = _build_with_bridge(state) if liquid else None
 
     @ti.func
-    def gather_history(worker, entry, i, j, list_index, velocity_rel, dt):
+    def gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt):
         for slot in ti.static(slots):
             vector = stored[slot][list_index]
             if ti.static(slot == "normal" and law_prepares):
                 vector = prepare(worker, entry, i, j, velocity_rel, vector, dt)
+            elif ti.static(slot == "cohesion" and liquid):
+                vector = with_bridge(worker, chunk, entry, i, j, vector)
             store_vector(batch.history[slot], worker, entry, vector)
 
     @ti.func
-    def gather(worker, end, pose, dt):
+    def gather(worker, chunk, end, pose, dt):
         for entry in range(end):
             i, j, list_index = batch.owner[worker, entry], batch.partner[worker, entry], batch.list_index[worker, entry]
             batch.radius[worker, entry] = particles.radius[i]
@@ -64,11 +70,37 @@ def build_gather(state: State) -> Any:
             if ti.static(features.rotation):
                 store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
                 store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
-            gather_history(worker, entry, i, j, list_index, velocity_rel, dt)
+            gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
             if ti.static(not features.one_material):
                 store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
 
     return gather
+
+
+@ti.func
+def branch_of(batch: ti.template(), worker, entry):
+    """Branch vector [m] of an entry of the batch."""
+    return ti.Vector([batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]])
+
+
+def _build_with_bridge(state: State) -> Any:
+    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a bridge.
+
+    Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
+    Writes:  liquid_film
+    """
+    laws, particles, batch, effective = state.plan.laws, state.particles, state.batch, build_effective(state, False)
+    form_bridge, pair_constants = build_form_bridge(state), build_pair_constants(state)
+    history_of, vector_of = build_slot_history(laws, "cohesion"), build_slot_vector(laws, "cohesion")
+
+    @ti.func
+    def with_bridge(worker, chunk, entry, i, j, components):
+        branch = branch_of(batch, worker, entry)
+        overlap = particles.radius[i] + particles.radius[j] - ti.sqrt(branch.dot(branch))
+        history = history_of(components)
+        return vector_of(form_bridge(chunk, i, j, pair_constants(i, j), effective(i, j), overlap, history))
+
+    return with_bridge
 
 
 def _build_prepare(state: State) -> Any:
@@ -85,9 +117,7 @@ def _build_prepare(state: State) -> Any:
 
     @ti.func
     def prepare(worker, entry, i, j, velocity_rel, vector, dt):
-        branch = ti.Vector(
-            [batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]]
-        )
+        branch = branch_of(batch, worker, entry)
         distance = ti.sqrt(branch.dot(branch))
         radius, radius_partner = particles.radius[i], particles.radius[j]
         contact = ti.Struct(

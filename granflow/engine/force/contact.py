@@ -5,6 +5,7 @@ from typing import Any
 from granflow.engine.force.collision_counts import build_count_collision
 from granflow.engine.force.contact_accounting import build_add_to_accounting
 from granflow.engine.force.distant_force import build_distant_force, build_in_range
+from granflow.engine.force.liquid_transfer import build_form_bridge, build_return_liquid, transfers_liquid
 from granflow.engine.force.pair_force import build_pair_force
 from granflow.engine.force.pair_kinematics import (
     build_effective,
@@ -37,14 +38,13 @@ def build_contact(state: State, with_wall: bool) -> Any:
     its plastic work is added to the losses.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, history, walls
-    Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, abort, abort_particle
+    Writes:  history, in_contact, losses, boundary_work, impulses, collisions, wall_force, liquid_film, abort,
+             abort_particle
     """
     transfers = with_wall and transfers_history(state)
     pair_kinematics, effective = build_pair_kinematics(state, with_wall), build_effective(state, with_wall)
-    angular_velocities_of, check_overlap = (
-        _build_angular_velocities(state, with_wall),
-        _build_check_overlap(state, with_wall),
-    )
+    angular_velocities_of = _build_angular_velocities(state, with_wall)
+    check_overlap = _build_check_overlap(state, with_wall)
     pair_constants, in_range = build_pair_constants(state), build_in_range(state)
     acts_at_distance = state.plan.laws.acts_at_distance
     distant_contact = _build_distant_contact(state, with_wall) if acts_at_distance else None
@@ -55,6 +55,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
     pair_force, add_to_accounting = build_pair_force(state.plan, False), build_add_to_accounting(state, with_wall)
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
     longest_time_step, count_collision = state.parameter("longest_time_step"), build_count_collision(state, with_wall)
+    liquid, return_liquid = transfers_liquid(state), build_return_liquid(state)
+    form_bridge = build_form_bridge(state) if liquid else None
 
     @ti.func
     def contact(chunk, i, list_index, j, pose, dt):
@@ -66,6 +68,8 @@ def build_contact(state: State, with_wall: bool) -> Any:
             if ti.static(transfers):
                 acquire_history(i, list_index, j, pose)
             angular_velocities, history = angular_velocities_of(i, j, pose), read_history(list_index)
+            if ti.static(liquid):
+                history.cohesion = form_bridge(chunk, i, j, constants, bodies, kinematics.overlap, history.cohesion)
             found = pair_force(constants, bodies, kinematics, angular_velocities, history, dt, longest_time_step())
             force, torque = found.force, found.torque
             count_collision(chunk, list_index, j, bodies, kinematics.overlap_rate_half)
@@ -79,6 +83,7 @@ def build_contact(state: State, with_wall: bool) -> Any:
             if ti.static(transfers):
                 released = release_history(i, list_index, j, pose)
             if released == 0:
+                return_liquid(chunk, i, j, list_index)
                 energy_lost = end_contact(list_index, constants, bodies, dt)
             add_plastic_loss(chunk, j, energy_lost)
         return force, torque

@@ -14,6 +14,7 @@ from granflow.engine.exact_sums import (
 )
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.force.distant_force import build_in_range
+from granflow.engine.force.liquid_transfer import transfers_liquid
 from granflow.engine.force.pair_kinematics import build_any_kinematics, build_pair_constants
 from granflow.engine.neighbor.contact_history_entry import build_read_history
 from granflow.engine.state import State
@@ -22,7 +23,9 @@ from granflow.plan.sum_units import ENERGY
 
 SUMS = ("contact_count", "overlap_sum")
 """Sums over contacts: count, overlap over the smaller radius."""
-COUNT, OVERLAP = range(len(SUMS))
+LIQUID_SUMS = ("liquid_film_volume", "liquid_bridge_volume")
+"""Further sums with a model that transfers liquid: volumes [m3] of the films and of the bridges."""
+COUNT, OVERLAP, FILMS, BRIDGES = range(len(SUMS) + len(LIQUID_SUMS))
 
 ENERGIES = ("elastic_energy", "plastic_dissipation")
 """Sums of energies [J] over contacts."""
@@ -41,7 +44,8 @@ class ContactStatistics:
         self.state = state
         self.block, chunks = FieldBlock(state.backend), state.plan.capacities.chunks
         self._rows = chunks if state.backend.on_cpu else min(chunks, GPU_ROWS)
-        self.sums = self.block.vector(ti.i64, self._rows, count=len(SUMS))
+        self._names = (*SUMS, *LIQUID_SUMS) if transfers_liquid(state) else SUMS
+        self.sums = self.block.vector(ti.i64, self._rows, count=len(self._names))
         self.energies = self.block.vector(ti.i64, self._rows, count=2 * len(ENERGIES))
         self.largest = self.block.scalar(state.backend.real, self._rows)
         self.block.finish()
@@ -52,19 +56,21 @@ class ContactStatistics:
 
         pose:  index of the wall poses at the present time, see `WallPoses.index_at`
 
-        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius.
+        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius; LIQUID_SUMS
+        with a model that transfers liquid.
         """
         state, ranks, chunks = self.state, self.state.ranks, self.state.chunk_count
         rows = min(chunks, self._rows)
         if chunks:
             self._measure(chunks, rows, state.count, pose, state.clock.time_step)
         words = ranks.total(self.sums.to_numpy()[:rows])
-        count, overlap = (exact_total(words[:, column]) / SHARES for column in (COUNT, OVERLAP))
+        units = (1.0, OVERLAP_UNIT, state.plan.liquid_unit, state.plan.liquid_unit)[: len(self._names)]
+        sums = [exact_total(words[:, column]) / SHARES * each for column, each in enumerate(units)]
         unit = state.plan.sum_units.energy / SHARES
         energies = exact_totals(ranks.total(self.energies.to_numpy()[:rows]), unit)
         largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
-        values = (count, overlap * OVERLAP_UNIT, *energies.tolist(), largest)
-        return dict(zip((*SUMS, *ENERGIES, "overlap_largest"), values, strict=True))
+        values = (*sums, *energies.tolist(), largest)
+        return dict(zip((*self._names, *ENERGIES, "overlap_largest"), values, strict=True))
 
 
 @ti.func
@@ -84,10 +90,10 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     Writes:  coordination_number, wall_contact_count, sums, energies, largest
     """
     particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
-    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), len(SUMS)
+    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), sums.n
     any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
-    per_unit = state.parameter("per_unit")
+    per_unit, (with_film, with_bridge) = state.parameter("per_unit"), _build_liquid_sums(state)
 
     @ti.kernel
     def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
@@ -104,10 +110,12 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
                     chunk = row + k // size * rows
                     i = chunk * size + k % size
+                    found = with_film(found, i)
                     for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
                         j = neighbors.partner[list_index]
                         _normal, contact = any_kinematics(i, j, pose, dt)
                         shares = list_shares(chunk, j)
+                        found = with_bridge(found, list_index, shares)
                         if in_range(i, j, contact.overlap):
                             elastic, plastic = energies(list_index, pair_constants(i, j), contact)
                             elastic_low, elastic_high = energy_words(per_joule * elastic)
@@ -132,6 +140,33 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 energy_sums[row] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
 
     return measure
+
+
+def _build_liquid_sums(state: State) -> tuple[Any, Any]:
+    """Device functions (sums, i) and (sums, list index, shares) -> sums with the film of i, or with a bridge.
+
+    Films are in half units: those that bridges return.
+
+    Reads:  liquid_film, history
+    """
+    liquid, particles, history = transfers_liquid(state), state.particles, state.neighbors.history
+    unit = state.parameter("liquid_unit") if liquid else None
+
+    @ti.func
+    def with_film(sums, i):
+        result = sums
+        if ti.static(liquid):
+            result[FILMS] += to_units(SHARES * particles.liquid_film[i] / unit())
+        return result
+
+    @ti.func
+    def with_bridge(sums, list_index, shares):
+        result = sums
+        if ti.static(liquid):
+            result[BRIDGES] += shares * to_units(history["cohesion"][list_index][0] / unit())
+        return result
+
+    return with_film, with_bridge
 
 
 def build_energies(state: State) -> Any:

@@ -6,6 +6,7 @@ model ends it or the distance exceeds its range; the histories of the other mode
 
 from typing import Any
 
+from granflow.engine.force.liquid_transfer import build_return_liquid
 from granflow.engine.force.pair_kinematics import build_effective, build_pair_constants
 from granflow.engine.force.structs import build_slot_vector
 from granflow.engine.neighbor.contact_history_entry import (
@@ -27,7 +28,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
     overlap:    minus the distance of the surfaces [m], above minus the range
 
     Reads:   radius, mass, history, pair_constants, law_parameters
-    Writes:  history, in_contact, losses
+    Writes:  history, in_contact, losses, liquid_film
     """
     laws, neighbors = state.plan.laws, state.neighbors
     keeps_history = "cohesion" in neighbors.history
@@ -38,7 +39,7 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
         build_pair_constants(state),
     )
     end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
-    end_surface_contact = _build_end_surface_contact(state)
+    end_surface_contact, return_liquid = _build_end_surface_contact(state), build_return_liquid(state)
 
     @ti.func
     def distant_force(chunk, i, list_index, j, overlap, dt):
@@ -48,8 +49,10 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
         is_kept, energy_lost = 0, 0.0 * dt
         if ti.static(keeps_history):
             components = vector_of(history_new)
-            neighbors.history["cohesion"][list_index] = components
             is_kept = ti.cast(components[0] > 0.0, ti.i32)
+            if is_kept == 0:
+                return_liquid(chunk, i, j, list_index)
+            neighbors.history["cohesion"][list_index] = components
         if is_kept == 1:
             neighbors.in_contact[list_index] = IN_CONTACT
             energy_lost = end_surface_contact(list_index, constants, bodies, dt)

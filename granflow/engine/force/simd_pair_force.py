@@ -35,7 +35,7 @@ def build_batched_forces(state: State) -> Any:
     """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
 
     Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
-    Writes:  force, torque, history, losses, abort, batch of the worker
+    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
     """
     collect, gather, evaluate, scatter = (
         build_collect(state),
@@ -52,7 +52,7 @@ def build_batched_forces(state: State) -> Any:
             while i < last and found < BATCH:
                 found = collect(worker, chunk, i, found, first, last, pose, dt)
                 i += 1
-            gather(worker, found, pose, dt)
+            gather(worker, chunk, found, pose, dt)
             evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
             scatter(worker, chunk, found, first, last, pose, dt)
 

@@ -8,6 +8,7 @@ import numpy as np
 from granflow.engine.clumps import index_phase
 from granflow.engine.contact_histories import HistoryTable
 from granflow.engine.device_flags import DeviceFlags, read_flags
+from granflow.engine.force.liquid_transfer import build_prepare_films, transfers_liquid
 from granflow.engine.host_copy import copy_to_host, saved_particle_table
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.limits import ABORT_FAR
@@ -156,16 +157,18 @@ class NeighborListRebuild:
 
 
 def _chunk_phases(state: State) -> list[Phase]:
-    """Wrap the particles and save the contact histories, chunk by chunk; none if neither is needed.
+    """Wrap the particles, prepare films and save the contact histories, chunk by chunk; none if none is needed.
 
     If the histories do not fit, this phase is the last one.
 
-    Reads:   as `build_wrap` and `build_save_history`
+    Reads:   as `build_wrap`, `build_prepare_films` and `build_save_history`
     Writes:  as these; running, list_length_needed
     """
     control, wraps, saves = state.control, state.plan.features.periodic != "none", bool(state.neighbors.history)
     wrap, save_history = build_wrap(state) if wraps else None, build_save_history(state) if saves else None
     chunk_size, saved_capacity = state.parameter("chunk_size"), state.parameter("saved_capacity")
+    liquid = transfers_liquid(state)
+    prepare_films = build_prepare_films(state) if liquid else None
 
     @ti.func
     def chunk_count(rebuild):
@@ -177,6 +180,9 @@ def _chunk_phases(state: State) -> list[Phase]:
         if ti.static(wraps):
             for i in range(first, last):
                 wrap(chunk, i, rebuild.pose, rebuild.dt)
+        if ti.static(liquid):
+            for i in range(first, last):
+                prepare_films(chunk, i)
         if ti.static(saves):
             save_history(chunk, first, last)
 

@@ -3,18 +3,20 @@
 from collections.abc import Iterator
 
 from granflow.load import Scene
-from granflow.plan.forecast.drop import forecast_velocity, path_velocity
+from granflow.plan.forecast.drop import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
-from granflow.plan.forecast.insertion import insertion_warnings
+from granflow.plan.forecast.insertion import inlet_warnings, insertion_warnings
+from granflow.plan.forecast.intervals import interval_warnings, vibration_forecasts
 from granflow.plan.forecast.overlaps import impact_forecast, static_forecasts
 from granflow.plan.forecast.pairs import touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
 from granflow.plan.forecast.regions import region_warnings
 from granflow.plan.forecast.servos import servo_warnings
-from granflow.plan.forecast.times import interval_warnings, nominal_times
+from granflow.plan.forecast.sizes import size_warnings
+from granflow.plan.forecast.times import nominal_times
 from granflow.plan.forecast.units import unit_warnings
-from granflow.plan.forecast.walls import size_warnings, wall_warnings
+from granflow.plan.forecast.walls import wall_warnings
 from granflow.plan.plan import Plan
 
 
@@ -30,6 +32,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         yield impact
     static = list(static_forecasts(plan, pairs, bed_pressures(scene, plan)))
     yield from static
+    yield from vibration_forecasts(scene)
     explained = max((each.overlap for each in static), default=0.0)
     for sentence in (
         *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
@@ -38,7 +41,9 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),
+        *inlet_warnings(scene, plan),
         *interval_warnings(scene, times),
         *unit_warnings(scene),
+        *velocity_warnings(scene, plan),
     ):
         yield Forecast("", "", sentence, sentence)

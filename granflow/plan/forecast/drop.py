@@ -3,7 +3,7 @@
 The time step keeps the velocity of `max_impact_velocity`, which covers runs that lift particles.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import product
 from math import sqrt
 
@@ -22,12 +22,21 @@ from granflow.plan.max_impact_velocity import ImpactVelocity, image_speed, initi
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedMotion, PlannedWall
-from granflow.scene.schema.insertion import PositionsInsertion
+from granflow.scene.schema.insertion import (
+    InletInsertion,
+    LatticeInsertion,
+    PackInsertion,
+    PositionsInsertion,
+    RainInsertion,
+)
 from granflow.scene.schema.particles import Group
 from granflow.scene.schema.walls import Plane
 
 PARALLEL = 1e-6
 """Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide on."""
+
+SLOW = 0.1
+"""Given velocity over that of a fall below which a unit is probably wrong."""
 
 SAMPLES = 64
 """Number of particles of a group whose paths are computed."""
@@ -73,19 +82,47 @@ def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
     return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
 
 
+def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted particles.
+
+    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and damping
+    excludes the warning.
+    """
+    given = scene.run.velocity_max
+    if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
+        return
+    magnitude = float(np.linalg.norm(plan.gravity))
+    regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
+    heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
+    heights = {name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)}
+    if not heights:
+        return
+    name = max(heights, key=lambda each: heights[each])
+    fall = sqrt(2.0 * magnitude * heights[name])
+    if given < SLOW * fall:
+        yield (
+            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but particles.{name} can "
+            f"fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and forecasts are those of slower "
+            f"impacts. Check the unit, or set it to {fall:.2g} m/s."
+        )
+
+
 def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
     """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not known.
 
     It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up, which lift
     or accelerate particles, or if the region of a group is not known.
     """
-    gravity = np.array(plan.gravity, float)
-    magnitude = float(np.linalg.norm(gravity))
-    if scene.run.velocity_max is not None or not magnitude or image_speed(scene.domain):
+    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
         return {}
-    up = -gravity / magnitude
+    up = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
     if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
         return {}
+    return _heights(scene, plan, up)
+
+
+def _heights(scene: Scene, plan: Plan, up: np.ndarray) -> dict[str, float]:
+    """As `_drop_heights`; empty if the region of a group or the lowest level is not known."""
     low = lowest_level(scene, plan.walls, up)
     groups = {name: group for name, group in scene.particles.items() if not group.fixed}
     tops = {name: highest_point(group, up) for name, group in groups.items()}

@@ -1,11 +1,10 @@
-"""Times of the stages if each lasts as long as it can, and output intervals above them."""
+"""Times of the stages if each lasts as long as it can, and presence of walls."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from granflow.load import Scene
 from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import PlannedWall, StageTimes
 
@@ -26,13 +25,3 @@ def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
     """Whether a wall is present at `time` [s]."""
     stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
     return stage is not None and wall.is_present(stage, time)
-
-
-def interval_warnings(scene: Scene, times: StageTimes) -> Iterator[str]:
-    """A sentence on an output interval above the duration of the run."""
-    longest = max(end for _, end in times.values())
-    if scene.output.interval > longest:
-        yield (
-            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the run lasts "
-            f"at most {longest:g} s: only the first and the last state are written. Choose a shorter interval."
-        )

@@ -1,4 +1,4 @@
-"""Forecasts of walls and particles that are far outside the domain, and of walls that leave it."""
+"""Forecasts of walls that are far outside the domain, and of walls that leave it."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,6 +8,7 @@ from granflow.geometry.catalog import distance_from
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
 from granflow.load import Scene
+from granflow.plan.forecast.sizes import oversized
 from granflow.plan.forecast.times import present_from
 from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import PlannedWall, StageTimes
@@ -16,9 +17,6 @@ from granflow.scene.schema.motions import Translation
 POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
 
-TOO_LARGE = 10.0
-"""Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as walls."""
-
 TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
 
@@ -26,11 +24,14 @@ TIMES = 40
 def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
     """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
 
-    Domains that expand have no outside. Meshes outside the domain have notes of their own.
+    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are much
+    larger than the domain are reported by `size_warnings`.
     """
     if scene.domain.on_exit == "expand":
         return
     for wall in walls:
+        if oversized(scene, wall.name, scene.walls[wall.name]):
+            continue
         endless = _is_endless(scene, wall)
         if isinstance(wall.shape, Mesh) and not endless:
             continue
@@ -41,18 +42,6 @@ def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes)
             yield _outside(scene, wall, float(gap.min()))
         elif gap[-1] > 0.0 and endless:
             yield _leaves(scene, wall, times, gap)
-
-
-def size_warnings(scene: Scene) -> Iterator[str]:
-    """A sentence for each group with particles that are larger than the domain."""
-    largest_side = float(np.subtract(scene.domain.max, scene.domain.min).max())
-    for name, group in scene.particles.items():
-        diameter = outer_diameter_range(group)[1]
-        if diameter > TOO_LARGE * largest_side and scene.domain.on_exit != "expand":
-            yield (
-                f"particles.{name} ({scene.where('particles', name, 'diameter')}): the diameter {diameter:.3g} m is "
-                f"larger than the domain, whose longest side is {largest_side:.3g} m. Check the units of both."
-            )
 
 
 def _gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:

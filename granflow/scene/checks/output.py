@@ -150,13 +150,18 @@ def expected_names(parts: PartialScene) -> Iterator[Fault]:
         elif part is None and quantity not in _WHOLE and quantity in _PARTS:
             yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
         elif quantity not in _WHOLE and quantity not in _PARTS:
-            suggestion = nearest(quantity, [*_WHOLE, *_PARTS])
-            remedy = (
-                f"Did you mean {suggestion}?" if suggestion else "Give one such as kinetic_energy or mass_flow.NAME"
-            )
-            yield Fault(path, f"there is no such quantity. {remedy}")
+            yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
         elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
             yield Fault(path, "output.energy_budget is false; set it to true")
+
+
+def _similar_quantity(quantity: str, part: str | None) -> str:
+    """Remedy for an unknown quantity with the name `part` behind the point, or None."""
+    found = nearest(quantity, [*_WHOLE, *_PARTS])
+    if found is None:
+        return "Give one such as kinetic_energy or mass_flow.NAME"
+    end = f".{part or 'NAME'}" if found in _PARTS else ""
+    return f"Did you mean {found}{end}?"
 
 
 def condition_columns(parts: PartialScene) -> Iterator[Fault]:

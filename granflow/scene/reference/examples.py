@@ -61,6 +61,7 @@ PART_EXAMPLES = {
     "Group.radius": "2 mm",
     "Group.velocity": "[0, 0, -0.5 m/s]",
     "Group.angular_velocity": "[0, 6, 0]",
+    "Group.liquid_content": "1 %",
     "Group.thermal": "{velocity_rms: 0.1 m/s}",
     "Stage.min_duration": "50 ms",
     "RunSettings.time_step": "2 us",

@@ -97,7 +97,7 @@ class LaceyMetric(TwoComponentGrid):
     """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
 
     0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of different sizes,
-    `SegregationMetric` weights particles by their volume.
+    `kind: segregation` weights particles by their volume.
 
     >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
     0.01

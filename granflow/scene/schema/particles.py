@@ -97,6 +97,11 @@ class Group(Model, populate_by_name=False, serialize_by_alias=True):
         description="rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
         "instead of diameter",
     )
+    liquid_content: q.Share | None = Field(
+        None,
+        description="initial volume of the liquid film on each particle over the volume of the particle, 0 for dry "
+        "particles; required with contact.cohesion: {law: capillary_transfer, ...}",
+    )
     velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
     angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
     thermal: ThermalMotion | None = Field(

@@ -122,6 +122,8 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
     """Draw every error against wall time, for all precisions."""
 
     def draw(figure: Any) -> None:
+        from matplotlib.ticker import LogLocator
+
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
             for precision in LINE_STYLES:
@@ -129,7 +131,9 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
         loglog(left, study.target, title="(a) restitution and energy budget", ylabel="relative error")
         loglog(right, study.target, title="(b) bed quantities and their noise")
         for axes in (left, right):
-            axes.set_xlabel("wall time (s per simulated s)")
+            axes.set_xlabel("wall time (s per simulated s); filled: adaptive time step")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter("")
             axes.legend(loc="best", fontsize=7.0)
 
@@ -137,16 +141,20 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
 
 
 def _draw_errors(axes: Any, study: SceneStudy, name: str, precision: str, color: str) -> None:
-    """Plot one error of one precision against wall time; thin line: noise in double precision."""
-    points = [p for p in study.points if p.precision == precision and not p.stopped]
-    if not points:
-        return
-    errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
-    shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
-    if shown:
-        style, marker = LINE_STYLES[precision]
-        label = f"{'energy budget' if name == ENERGY_ERROR else _label(name)}, {precision}"
-        line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
-        axes.plot(*zip(*sorted(shown), strict=True), markerfacecolor="white", label=label, **line)
+    """Plot one error of one precision against wall time; thin line: noise in double precision.
+
+    Points with fixed and with adaptive time step form two lines.
+    """
+    style, marker = LINE_STYLES[precision]
+    label = f"{'energy budget' if name == ENERGY_ERROR else _label(name)}, {precision}"
+    line = {"linestyle": style, "marker": marker, "color": color, "markersize": 3.5, "linewidth": 0.9}
+    for family in dict.fromkeys(point.family for point in study.points):
+        points = [p for p in study.points if (p.precision, p.family) == (precision, family) and not p.stopped]
+        errors = [p.restitution_error if name == "restitution" else p.errors[name] for p in points]
+        shown = [(p.cost[0], max(error, LOWEST)) for p, error in zip(points, errors, strict=True) if error > 0.0]
+        if shown:
+            is_fixed = family == "fixed"
+            face = {"markerfacecolor": "white"} if is_fixed else {}
+            axes.plot(*zip(*sorted(shown), strict=True), label=label if is_fixed else None, **line, **face)
     if precision == "f64" and name in study.quantities:
         axes.axhline(study.noise[name], color=color, linewidth=0.6, alpha=0.6)

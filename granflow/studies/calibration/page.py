@@ -22,13 +22,13 @@ HEIGHT = 340
 """Height of a plot [pixels]."""
 
 
-def write_calibration_page(out: Path, calibration: CalibrationInput, name: str, result: CalibrationResult) -> None:
+def write_calibration_page(out: Path, calibration: CalibrationInput, result: CalibrationResult) -> None:
     """Write `calibration.html` to the directory of the calibration; without plotly, it has tables only."""
     script = library()
     text = page_text(
         "calibration.html",
         plotly=script,
-        title=calibration.title or f"Calibration {name}",
+        title=calibration.title or f"Calibration of {' and '.join(calibration.scenes)}",
         lead=calibration.description or "Parameters from measured targets.",
         loss=result.loss,
         best=_best(result),

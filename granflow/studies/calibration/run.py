@@ -115,7 +115,7 @@ def run_calibration(
         write_result(out, result)
         best = {each.name: each.value for each in result.parameters}
         write_best_scenes(out, file.content, file.scenes, best)
-        write_calibration_page(out, file.content, file.name, result)
+        write_calibration_page(out, file.content, result)
     return result
 
 

@@ -19,6 +19,9 @@ from granflow.studies.calibration.schema import CalibrationInput, Parameter
 JOURNAL = "trials.journal"
 """File with all trials."""
 
+LOCK_GRACE = 10
+"""Time [s] after which the lock of the journal is that of a killed process; others hold it for some milliseconds."""
+
 REFINED_SHARE = 0.3
 """Share of the trials, the last ones, that evaluate the optimum of the fitted response instead of a sampled point."""
 
@@ -36,9 +39,10 @@ class Search:
         self.optuna = require_optuna(calibration.search.method)
         self.calibration, self._out = calibration, out
         self.worker = f"{socket.gethostname()}-{os.getpid()}"
-        storage = self.optuna.storages.JournalStorage(
-            self.optuna.storages.journal.JournalFileBackend(str(out / JOURNAL))
-        )
+        journal, path = self.optuna.storages.journal, str(out / JOURNAL)
+        # Not the default lock: with a relative path it waits for ever for the lock of a killed process.
+        lock = journal.JournalFileOpenLock(path, LOCK_GRACE)
+        storage = self.optuna.storages.JournalStorage(journal.JournalFileBackend(path, lock))
         self.study = self.optuna.create_study(study_name="calibration", storage=storage, load_if_exists=True)
         self._refuse_other(calibration)
         self.study.sampler = self._sampler(len(self.study.get_trials(deepcopy=False)))

@@ -19,7 +19,7 @@ PAGE = "sweep.html"
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[sweep], then repeat the command."
 
 
-def write_sweep_page(out: Path, sweep: SweepInput, name: str, table: SweepTable) -> None:
+def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
     """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only."""
     script = library()
     found = shown(sweep, table)
@@ -29,7 +29,7 @@ def write_sweep_page(out: Path, sweep: SweepInput, name: str, table: SweepTable)
     text = page_text(
         "sweep.html",
         plotly=script,
-        title=sweep.title or f"Sweep {name}",
+        title=sweep.title or f"Sweep of {Path(sweep.scene).stem}",
         lead=sweep.description or f"{len(table.rows)} points of {sweep.scene}.",
         statuses=_statuses(table),
         no_library="" if script else NO_LIBRARY,

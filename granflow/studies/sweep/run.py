@@ -124,7 +124,7 @@ def run_sweep(
             finally:
                 table = table_of(*names, points, driver.outcomes)
                 write_tables(out, table)
-        write_sweep_page(out, sweep.content, sweep.name, table)
+        write_sweep_page(out, sweep.content, table)
         return table
 
 

@@ -1,0 +1,156 @@
+"""Capillary bridges that take their liquid from films on the particles, and return it at rupture.
+
+The films of both particles give a part to the bridge that forms (Shi & McCarthy 2008, Powder Technol. 184:64):
+
+    L_i = V_i / 2 [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)]
+
+Force and rupture distance follow the volume of the bridge, see `capillary_bridge`. The engine moves the liquid, see
+`granflow.engine.force.liquid_transfer`; `form` gets the volume from it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from granflow.contact.cohesion.capillary_bridge import (
+    CONTACT_ANGLE,
+    SOURCE,
+    SURFACE_TENSION,
+    bridge_attraction,
+    bridge_energy,
+    reference_attraction,
+    rupture_factor,
+)
+from granflow.contact.cohesion_law import CohesionLaw
+from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.material import PairMaterial
+from granflow.contact.model import ContactModel
+from granflow.contact.options import Amount
+from granflow.contact.power import power
+from granflow.device_functions import ti
+
+
+@dataclass(frozen=True)
+class CapillaryTransfer(CohesionLaw):
+    """A bridge per contact, with a volume of its own.
+
+    max_bridge_volume:  largest volume [m3] of a bridge
+    bridge_range:       largest rupture distance [m] of all pairs
+    energy_budget:      whether the energy lost by the formation of bridges is saved
+    """
+
+    max_bridge_volume: float
+    bridge_range: float
+    energy_budget: bool
+
+    name = "capillary_transfer"
+    source = f"{SOURCE}; Shi & McCarthy 2008, Powder Technol. 184:64"
+    limits = (
+        "pendular bridges with V / r^3 below 0.001, r = 2 R, and small contact angles; walls have no film; liquid does "
+        "not flow along surfaces or between bridges, and its mass and viscous force are neglected"
+    )
+    constant_names = ("tension", "rupture_factor")
+    """Surface tension times cosine of the contact angle [N/m], rupture distance over the cube root of the volume."""
+    at_distance = True
+    transfers_liquid = True
+
+    @classmethod
+    def from_scene(cls, request: ModelRequest) -> "CapillaryTransfer":
+        """The law that a scene requests."""
+        largest = request.options["max_bridge_volume"]
+        factor = max(rupture_factor(pair.options["contact_angle"]) for pair in request.pairs)
+        return cls(largest, factor * float(largest ** (1.0 / 3.0)), request.energy_budget)
+
+    @property
+    def range(self) -> float:
+        """Slightly above the largest rupture distance, so that every bridge breaks within the range."""
+        return 1.001 * self.bridge_range
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The range, and the largest volume of a bridge."""
+        return {**super().parameters, "max_bridge_volume": self.max_bridge_volume}
+
+    @property
+    def history(self) -> tuple[HistoryField, ...]:
+        """Volume of the bridge, and with the energy budget the lost energy."""
+        volume = HistoryField("bridge_volume", "liquid volume of the bridge", "m3", in_output=True)
+        lost = HistoryField("lost", "energy lost by the formation of the bridge", "J")
+        return (volume, lost) if self.energy_budget else (volume,)
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`."""
+        angle = pair.options["contact_angle"]
+        return pair.options["surface_tension"] * math.cos(angle), rupture_factor(angle)
+
+    @ti.func
+    def rupture_distance(self, constants, volume):
+        """Rupture distance [m] of a bridge with a volume [m3] (Lian et al. 1993)."""
+        return constants.rupture_factor * power(volume, 1.0 / 3.0)
+
+    @ti.func
+    def energy(self, constants, contact, volume):
+        """Energy [J] of a bridge with a volume [m3]; 0 without volume, and from the rupture distance on."""
+        positive = ti.select(volume > 0.0, volume, constants.max_bridge_volume)
+        distance = self.rupture_distance(constants, positive)
+        energy = bridge_energy(contact, constants.tension, positive, distance)
+        return ti.select((volume > 0.0) & (contact.overlap > -distance), energy, 0.0)
+
+    @ti.func
+    def form(self, constants, contact, history, volume):
+        """The history of a contact without a bridge, after one of a volume [m3] has formed at the present overlap."""
+        history_new = history
+        history_new.bridge_volume = volume
+        if ti.static(self.energy_budget):
+            history_new.lost -= self.energy(constants, contact, volume)
+        return history_new
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Attraction [N] of the bridge, and its history: at rupture the volume becomes 0."""
+        history_new, volume = history, history.bridge_volume
+        positive = ti.select(volume > 0.0, volume, constants.max_bridge_volume)
+        holds = (volume > 0.0) & (contact.overlap > -self.rupture_distance(constants, positive))
+        history_new.bridge_volume = ti.select(holds, volume, 0.0)
+        return ti.select(holds, bridge_attraction(contact, constants.tension, positive), 0.0), history_new
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Energy of the bridge [J], minus the work up to its rupture."""
+        return self.energy(constants, contact, history.bridge_volume)
+
+    @ti.func
+    def lost_energy(self, constants, contact, history):
+        """Energy lost by the formation of bridges of this contact [J]; rupture loses none."""
+        energy = 0.0 * contact.overlap
+        if ti.static(self.energy_budget):
+            energy = history.lost
+        return energy
+
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, Any]]:
+        """Reference implementation of `force` without the lost energy."""
+        constants, volume = contact.constants, getattr(contact.history, "bridge_volume", 0.0)
+        if volume <= 0.0 or -contact.overlap >= constants.rupture_factor * volume ** (1.0 / 3.0):
+            return 0.0, {"bridge_volume": 0.0}
+        force = reference_attraction(contact.radius_eff, contact.overlap, constants.tension, volume)
+        return force, {"bridge_volume": volume}
+
+    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float:
+        """Largest capillary force [N], at zero distance; it does not depend on the volume."""
+        return 4.0 * math.pi * radius_eff * self.pair_constants(pair)[0]
+
+
+MODEL = ContactModel(
+    CapillaryTransfer,
+    "liquid bridges that take their volume from films on the particles and return it at rupture",
+    options={
+        "max_bridge_volume": Amount(
+            "largest volume of a bridge [m3]: the films keep the rest; it determines the range of the neighbor lists",
+            *("10 nl", "volume", "a volume"),
+            above=0,
+        )
+    },
+    pair_options=(SURFACE_TENSION, CONTACT_ANGLE),
+    example={"max_bridge_volume": 1e-15},
+)

@@ -1,0 +1,78 @@
+"""Particles that leave the domain outside the outlets are reported at the end of a run, with the face of the domain."""
+
+import json
+
+import pytest
+from scene_builders import build_scene, particle_group
+
+from granflow.io.checkpoint import checkpoint_at
+from granflow.simulation import Simulation
+
+DOMAIN = {"min": [-0.1, -0.1, -0.02], "max": [0.1, 0.1, 0.1], "on_exit": "delete"}
+HOLE = {"hole": {"box": {"min": [-0.02, -0.02, -0.02], "max": [0.02, 0.02, -0.01]}}}
+BELOW = [[0.012 * k - 0.012, 0.0, 0.0] for k in range(3)]
+ASIDE = [[0.012 * k - 0.012, 0.0, 0.05] for k in range(2)]
+
+
+def scene(aside=2, outlets=None, meters=None, **parts):
+    """Three particles at the height 0 fall down; the others at 5 cm fly 10 cm along x in 45 ms and fall 10 mm."""
+    groups = {"falling": particle_group(BELOW, velocity=[0.0, 0.0, -1.0])}
+    if aside:
+        groups["flying"] = particle_group(ASIDE[:aside], velocity=[2.5, 0.0, 0.0])
+    output = {"interval": 0.01, "flow_meters": meters or {}}
+    gravity, run = [0.0, 0.0, -9.81], {"duration": 0.06, "velocity_max": 3.0}
+    return build_scene(groups, outlets=outlets or {}, gravity=gravity, run=run, output=output, domain=DOMAIN, **parts)
+
+
+def warnings_of(given, **options):
+    simulation = Simulation(given, **options)
+    found = simulation.run().warnings
+    simulation.free()
+    return [each for each in found if "left the domain" in each]
+
+
+def meter(x, normal):
+    return {"point": [x, -0.1, -0.02], "normal": normal, "sides": [[0.0, 0.2, 0.0], [0.0, 0.0, 0.12]]}
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        ({"outlets": HOLE}, 2),
+        ({}, 5),
+        ({"outlets": HOLE, "aside": 0}, None),
+        ({"aside": 0}, None),
+        ({"meters": {"end": meter(0.08, [1, 0, 0])}}, None),
+        ({"meters": {"elsewhere": meter(-0.08, [1, 0, 0])}}, 5),
+    ],
+    ids=["outside the outlet", "no outlet", "outlet", "drained", "meter", "meter elsewhere"],
+)
+def test_particles_that_leave_the_domain_outside_the_outlets_are_reported(taichi_f64, options, count):
+    """Of five particles, two leave through the face at x = 0.1 m."""
+    found = warnings_of(scene(**options))
+    if count is None:
+        assert found == []
+    else:
+        (warning,) = found
+        where = " outside the outlets" if "outlets" in options else ""
+        assert warning.startswith(f"{count} of 5 particles left the domain{where}, ")
+        if where:
+            assert "2 of them through its face at x = 0.1 m" in warning and "domain.max" in warning
+
+
+def test_the_lowest_face_is_reported_if_the_scene_has_an_outlet_elsewhere(taichi_f64):
+    elsewhere = {"side": {"half_space": {"point": [0.09, 0, 0], "normal": [1, 0, 0]}}}
+    (warning,) = warnings_of(scene(outlets=elsewhere))
+    assert warning.startswith("3 of 5 particles left the domain outside the outlets")
+    assert "3 of them through its face at z = -0.02" in warning
+
+
+def test_the_count_is_in_all_files_and_kept_by_a_resumed_run(taichi_f64, tmp_path):
+    out, given = tmp_path / "run", scene(outlets=HOLE)
+    with Simulation(given, out=out) as simulation:
+        simulation.run(until=0.055)
+    assert checkpoint_at(out).saved["engine"]["accounting"]["exits"]["x_max"] == 2
+    (warning,) = warnings_of(given, out=out, resume=out)
+    assert "2 of them through its face at x = 0.1 m" in warning
+    assert warning in json.loads((out / "result.json").read_text())["warnings"]
+    assert warning in (out / "run.log").read_text()

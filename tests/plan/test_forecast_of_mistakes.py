@@ -1,0 +1,130 @@
+"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets that are too small."""
+
+import numpy as np
+import pytest
+from plan.scenes import TEXT, scene_of
+
+from granflow.errors import SceneError
+from granflow.particles.group import groups_of
+from granflow.particles.insertion import Inserter
+from granflow.plan.build import plan_for
+
+
+def warnings_of(scene):
+    return [each.warning for each in plan_for(scene).forecasts if each.warning]
+
+
+@pytest.mark.parametrize(
+    ("shape", "key", "length"),
+    [
+        ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius: 22", "radius", 22.0),
+        ("cylinder, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 22], radius: 22 mm", "to", 22.0),
+        ("cone, from: [1 cm, 1 cm, 0], to: [1 cm, 1 cm, 2 cm], radius_from: 2 mm, radius_to: 9", "radius_to", 9.0),
+        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25", "radius", 25.0),
+        ("rectangle, corner: [0, 0, 0], sides: [[20, 0, 0], [0, 2 cm, 0]]", "sides", 20.0),
+        ("disc, center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 25 cm", None, 0.25),
+    ],
+    ids=["radius", "axis", "cone", "disc", "rectangle", "large floor"],
+)
+def test_wall_that_is_much_larger_than_the_domain_is_reported(tmp_path, shape, key, length):
+    """The longest side of the domain is 40 mm; a floor of 25 cm is no mistake."""
+    text = TEXT.replace("particles:\n", f"  part: {{shape: {shape}, material: glass}}\nparticles:\n")
+    found = [each for each in warnings_of(scene_of(tmp_path, text=text)) if "walls.part" in each and "Check" in each]
+    line = next(number for number, each in enumerate(text.splitlines(), 1) if "  part:" in each)
+    if key is None:
+        assert found == []
+    else:
+        (warning,) = found
+        beginning = f"beads.yaml:{line}) is {length:.3g} m, {length / 0.04:.0f} times the longest side"
+        assert (
+            warning.startswith(f"walls.part.{key} (")
+            and beginning in warning
+            and f"{length:g} mm is {length / 1000:g} m" in warning
+        )
+
+
+def test_wrong_unit_of_a_diameter_is_reported_before_the_errors_that_follow_from_it(tmp_path):
+    """Particles of 4 m allow a step of 15 ms, in which the initial velocity moves the others too far."""
+    face = "{disc: {center: [1 cm, 1 cm, 2 cm], normal: [0, 0, -1], radius: 5 mm}}"
+    inlet = f"{{kind: inlet, rate: 100 1/s, face: {face}}}"
+    jet = f"{{material: glass, count: 5, diameter: %s, velocity: [0, 0, -0.5 m/s], insert: {inlet}}}"
+    with pytest.raises(SceneError) as error:
+        plan_for(scene_of(tmp_path, "particles.beads.fixed=true", "particles.jet=" + jet % 4))
+    first = error.value.problems[0]
+    assert "particles.jet.diameter is 4 m, larger than the face of the inlet, which is 0.01 m wide" in first
+    assert "4 mm is 0.004 m" in first and len(error.value.problems) > 1
+    assert not [each for each in warnings_of(scene_of(tmp_path, "particles.jet=" + jet % "4 mm")) if "unit" in each]
+
+
+VIBRATION = "{kind: vibration, direction: [0, 0, 1], amplitude: 0.1 mm, frequency: 25 Hz}"
+
+
+@pytest.mark.parametrize(
+    ("interval", "halves"),
+    [(20, 1), (60, 3), (20.1, 1), (40, None), (80, None), (20.5, None), (12, None), (5, None)],
+)
+@pytest.mark.parametrize("key", ["interval", "timeseries_interval"])
+def test_interval_of_half_a_period_is_reported(tmp_path, key, interval, halves):
+    """25 Hz: 40 ms. At odd multiples of 20 ms, sin(w t) is 0 in all frames, within 1 % of the period."""
+    intervals = {"interval": "5 ms"} | {key: f"{interval} ms"}
+    overrides = [f"output.{name}={value}" for name, value in intervals.items()]
+    found = warnings_of(scene_of(tmp_path, f"walls.floor.motion={VIBRATION}", "run.duration=1 s", *overrides))
+    if halves is None:
+        assert found == []
+    else:
+        (warning,) = found
+        assert f"output.{key} (" in warning and "of walls.floor.motion (" in warning
+        assert f"{0.5 * halves:g} times the period 0.04 s" in warning and "0.005 s or less, 8 times" in warning
+
+
+def test_half_a_period_is_no_mistake_without_vibration(tmp_path):
+    assert warnings_of(scene_of(tmp_path, "output.interval=20 ms", "run.duration=1 s")) == []
+
+
+@pytest.mark.parametrize(("velocity", "count"), [("2 mm/s", 1), ("0.05 m/s", 1), ("0.09 m/s", 0)])
+def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocity, count):
+    """Particles of a lattice fall up to 30 mm onto the floor: sqrt(2 g h) = 0.77 m/s, a tenth of it is the limit."""
+    region = "{box: {min: [0, 0, 10 mm], max: [2 cm, 2 cm, 30 mm]}}"
+    overrides = [f"particles.beads.insert.region={region}", f"run.velocity_max={velocity}"]
+    found = [each for each in warnings_of(scene_of(tmp_path, *overrides)) if "run.velocity_max (" in each]
+    assert len(found) == count
+    fall = (2.0 * 9.81 * 0.03) ** 0.5
+    assert all(f"particles.beads can fall 0.03 m and reach {fall:.3g} m/s" in each for each in found)
+    damped = warnings_of(scene_of(tmp_path, *overrides, "damping={drag: 20 1/s}"))
+    assert not [each for each in damped if "run.velocity_max (" in each]
+
+
+def inlet_scene(tmp_path, radius):
+    """Particles of 4 mm enter through a disc with 0.3 m/s downward, 1200 per second."""
+    face = f"{{disc: {{center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -1], radius: {radius} mm}}}}"
+    inlet = f"{{kind: inlet, rate: 1200 1/s, face: {face}}}"
+    jet = f"{{material: glass, count: 300, diameter: 4 mm, velocity: [0, 0, -0.3 m/s], insert: {inlet}}}"
+    return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3")
+
+
+def rate_through(scene):
+    """Particles per second that the inserter of a scene inserts if they fall freely away from the face."""
+    inserter = Inserter(groups_of(scene)["jet"])
+    start, entered = np.zeros((0, 3)), np.zeros(0)
+    while (time := inserter.next_time) < 0.25:
+        fallen = 0.3 * (time - entered) + 0.5 * 9.81 * (time - entered) ** 2
+        present = start - fallen[:, None] * [0.0, 0.0, 1.0]
+        new = inserter.insert_due(time, present, np.full(len(present), 0.002)).position
+        start, entered = np.concatenate([start, new]), np.concatenate([entered, np.full(len(new), time)])
+    return len(start) / 0.25
+
+
+@pytest.mark.parametrize(
+    ("radius", "is_too_small"), [(3.0, True), (5.0, True), (8.0, True), (10.0, False), (15.0, False)]
+)
+def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
+    """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
+    scene = inlet_scene(tmp_path, radius)
+    found = [each for each in warnings_of(scene) if "are queued" in each]
+    assert len(found) == is_too_small
+    reached = rate_through(scene)
+    if is_too_small:
+        limit = float(found[0].split("at most about ")[1].split(" leave")[0])
+        assert reached < limit < min(1200.0, 3.0 * reached)
+    else:
+        assert reached == pytest.approx(1200.0, rel=0.01)
