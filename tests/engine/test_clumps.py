@@ -58,6 +58,25 @@ def test_results_are_bit_identical_for_any_thread_count(precision):
     assert others == [one] * 2
 
 
+def drifting_rod():
+    """Distance of a rod at 1 m/s from its position at the start [m], simulated time, number of rebuilds."""
+    scene = build_scene(
+        {"rod": clump_group([[0.1, 0.0, 0.0]], velocity=[[1.0, 0.0, 0.0]])},
+        run={"duration": 1.0, "velocity_max": 1.0, "time_step": 2.0**-16, "precision": "mixed"},
+        domain={"min": [-1.0] * 3, "max": [2.0] * 3, "on_exit": "error"},
+    )
+    simulation = Simulation(scene, threads=1)
+    simulation.step(3 * 2**12 + 1)
+    last = simulation.snapshot()
+    return last.particles["clump_position"][0, 0] - 0.1, last.time, simulation.engine.timing.rebuild_count
+
+
+def test_rebuilds_in_mixed_precision_do_not_round_clumps():
+    """A step moves the rod by 2^-16 m, which f64 adds without error; f32 resolves 0.1 m to 7.5e-9 m."""
+    distance, time, rebuilds = in_subprocess(drifting_rod, seconds=600)
+    assert rebuilds > 10 and distance == pytest.approx(time, abs=1e-12)
+
+
 def test_code_path_of_a_gpu_has_the_bits_of_the_cpu():
     changes = {"numerics": {"chunk_size": 1, "max_overlap": 0.2}, "duration": 0.02}
     cpu, gpu = (in_subprocess(fingerprint, 2, "f64", on_gpu, changes, seconds=600) for on_gpu in (False, True))

@@ -12,7 +12,7 @@ def reorder_phases(state: State) -> list[Phase]:
     """Move all particle fields to the new order: copied to buffers, then back.
 
     Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or three
-    numbers. `position_at_rebuild` keeps the positions.
+    numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a force.
 
     Reads:   order
     Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
@@ -20,9 +20,14 @@ def reorder_phases(state: State) -> list[Phase]:
     particles, phases = state.particles, []
     fields = [field for field in particles.sorted_fields() if field is not particles.position]
     reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
+    at_rebuild = components(particles.position_at_rebuild)
+    widest = at_rebuild[0].dtype if at_rebuild[0].dtype != particles.force.dtype else None
+    wide, reals = [each for each in reals if each.dtype == widest], [each for each in reals if each.dtype != widest]
+    for k in range(0, len(wide), len(at_rebuild)):
+        phases += _copy_phases(state, [*zip(wide[k:], at_rebuild, strict=False)])
     integers = [field for field in fields if field.dtype == ti.i32]
     buffers = [*components(particles.force), *(components(particles.torque) if particles.torque is not None else ())]
-    first = [*zip(components(particles.position), components(particles.position_at_rebuild), strict=True)]
+    first = [*zip(components(particles.position), at_rebuild, strict=True)]
     while reals or integers:
         pairs = [*first, *zip(reals, buffers, strict=False)]
         pairs += zip(integers, [particles.coordination_number], strict=False)
