@@ -4,6 +4,8 @@ The expected velocities follow from the heights of the walls in the scenes. `pla
 through the domain.
 """
 
+import json
+
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
@@ -102,9 +104,7 @@ def test_mesh_stops_a_fall_as_the_rectangle_of_its_triangles(tmp_path):
     (tmp_path / "chute.obj").write_text("v -200 -100 500\nv 100 -100 200\nv 100 100 200\nv -200 100 500\nf 1 2 3 4\n")
     wall = {"shape": "mesh", "file": "chute.obj", "scale": 1e-3, "material": "glass"}
     given = scene({"chute": CHUTE}).to_dict() | {"walls": FLOORS | {"chute": wall}}
-    import yaml
-
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(given))
+    (tmp_path / "scene.yaml").write_text(json.dumps(given))
     loaded = load_scene(tmp_path / "scene.yaml")
     assert path_velocity(loaded, plan_for(loaded)).value == pytest.approx(fall(AFTER_CHUTE), rel=1e-6)
 

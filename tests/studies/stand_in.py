@@ -37,14 +37,14 @@ def run(arguments):
     verb = arguments[0]
     directory = Path(arguments[1] if verb == "resume" else arguments[arguments.index("--out") + 1])
     checkpoint = directory / "checkpoint_1.npz"
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))  # before the test can know of the start
     with (directory.parent.parent / "starts.txt").open("a") as file:
         file.write(f"{verb} {directory.name}\n")
     values = json.loads(checkpoint.read_text()) if verb == "resume" else settings(arguments)
     if values["friction"] == 0.4:
         print(f"granflow: Stopped: overlap above the limit. State in {directory}.", file=sys.stderr)
         return 3
-    stopped = []
-    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
     while has_to_wait(directory.parent):
         if stopped:
             checkpoint.write_text(json.dumps(values))
