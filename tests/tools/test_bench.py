@@ -208,12 +208,12 @@ def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
     assert ranks_page.write(tmp_path, guide) is None
     result = {"kind": "ranks", "machine": machine.machine(), "notes": []}
     result["points"] = points(granflow_hertz=[40e6, 42e6], liggghts_hertz=[20e6])
-    measured = {"rebuilds": 9.5, "exchange": 0.041, "memory": 3e8}
+    measured = {"rebuilds": 9.5, "exchange": 0.041, "waiting": 0.022, "memory": 3e8}
     result["points"].append(points(granflow_hertz=[36e6])[0] | measured | {"code": "granflow --mpi", "threads": 2})
     (tmp_path / "ranks.json").write_text(json.dumps(result))
     text = ranks_page.write(tmp_path, guide).read_text()
     assert text.startswith("# Ranks\n") and text.endswith("Limits\n") and "old" not in text
-    assert "| 10 | granflow, 2 ranks | 36.00 (36.00-36.00) | 4.1 % | 9.5 | 300 |" in text
+    assert "| 10 | granflow, 2 ranks | 36.00 (36.00-36.00) | 4.1 % | 2.2 % | 9.5 | 300 |" in text
     assert "| 10 | granflow, 1 thread | 41.00 (40.00-42.00) |" in text
     assert "| 10 | liggghts, 1 rank | 20.00" in text
 

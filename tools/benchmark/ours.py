@@ -157,6 +157,7 @@ def measured(simulation: Any, case: Case, warm: int, window: int) -> dict[str, A
         "rebuilds": 1000.0 * rebuilds / window,
         "mass_flow": (above - mass_above(simulation)) / span if case.kind == "hopper" else None,
         "exchange": (timing.exchange - before.exchange) / seconds,
+        "waiting": (timing.waiting - before.waiting) / seconds,
     }
 
 

@@ -11,7 +11,7 @@ from benchmark.machine import ROOT
 GUIDE = ROOT / "docs" / "pages" / "guides" / "parallel.md"
 BEGIN, END = "<!-- begin: bench.py --ranks -->\n", "<!-- end: bench.py --ranks -->\n"
 """Lines of the guide between which the table is written."""
-COLUMNS = ("particles", "code", "M particle-steps/s", "messages and waiting", "rebuilds/1000 steps", "memory [MB]")
+COLUMNS = ("particles", "code", "M particle-steps/s", "messages", "waiting", "rebuilds/1000 steps", "memory [MB]")
 
 
 def write(folder: Path, guide: Path = GUIDE) -> Path | None:
@@ -41,13 +41,14 @@ def rounds_of(result: dict[str, Any]) -> int:
 def row(group: tables.Group) -> list[str]:
     """Row of one code."""
     rates = tables.Spread.of([point["rate"] / 1e6 for point in group.points])
-    exchange, rebuilds, memory = map(group.spread, ("exchange", "rebuilds", "memory"))
+    rebuilds, memory = map(group.spread, ("rebuilds", "memory"))
     on_ranks = group.code == ON_RANKS
+    shares = [group.spread(phase) if on_ranks else None for phase in ("exchange", "waiting")]
     return [
         str(group.count),
         f"{GRANFLOW if on_ranks else group.code}, {processes(group.code, group.threads)}",
         rates.text(),
-        f"{100.0 * exchange.middle:.1f} %" if on_ranks and exchange else "",
+        *(f"{100.0 * share.middle:.1f} %" if share else "" for share in shares),
         f"{rebuilds.middle:.1f}" if rebuilds else "",
         f"{memory.middle / 1e6:.0f}" if memory else "",
     ]
