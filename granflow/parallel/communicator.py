@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.host_particles import joined_arrays
 from granflow.engine.ranks import Arrays
 from granflow.errors import GranflowError
 
@@ -124,6 +123,18 @@ class Communicator:
         return float(self.largest_of(np.array([value]))[0])
 
     def gathered(self, arrays: Arrays) -> Arrays:
-        """Arrays of all ranks, one rank after the other, on the root; those of this rank on the others."""
-        parts = self.to_root(arrays)
-        return joined_arrays(parts) if parts else arrays
+        """Arrays of all ranks, one rank after the other, on the root; those of this rank on the others.
+
+        As bytes: serialized arrays would be in memory several times.
+        """
+        return {name: self._gathered(np.ascontiguousarray(values)) for name, values in arrays.items()}
+
+    def _gathered(self, values: np.ndarray) -> np.ndarray:
+        """One array (n, ...) of all ranks on the root; that of this rank on the others."""
+        sizes, found, receive = self._world.gather(values.nbytes), values, None
+        if sizes is not None:
+            row = values.dtype.itemsize * int(np.prod(values.shape[1:]))
+            found = np.empty((sum(sizes) // row, *values.shape[1:]), values.dtype)
+            receive = [found, sizes, self._mpi.BYTE]
+        self._world.Gatherv([values, self._mpi.BYTE], receive)
+        return found
