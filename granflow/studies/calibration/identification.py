@@ -18,16 +18,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import fdtrc
 
 from granflow.studies.calibration.response import (
     EXACT,
     LEVEL,
     Response,
+    by_distance,
     fit,
     highest_degree,
     nearest_trials,
+    optimum_of,
     terms,
 )
 
@@ -173,14 +174,15 @@ def identification(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, bes
     information = (slopes.T / (1.0 + scatter**2)) @ slopes + np.eye(u.shape[1]) / UNIFORM_VARIANCE
     squares = (slopes**2).sum(axis=0)
     total = float(squares.sum()) or 1.0
-    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), _optimum(fits, at), squares / total, found)
+    optimum = optimum_of(lambda u: np.array([each.at(u)[k] for k, each in enumerate(fits)]), at)
+    return Identification(np.sqrt(np.diag(np.linalg.inv(information))), optimum, squares / total, found)
 
 
 def _local_fits(u: np.ndarray, residuals: np.ndarray, errors: np.ndarray, best: int) -> list[Response]:
     """The fit of each residual near trial `best`; see the module docstring."""
     highest = highest_degree(*u.shape)
     near = len(nearest_trials(u, best, highest))
-    order = np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
+    order = by_distance(u, best)
     fits, squares, significant = [], [], []
     for degree in range(1, highest + 1):
         for count in _window_sizes(near, len(u)):
@@ -203,13 +205,6 @@ def _window_sizes(smallest: int, largest: int) -> list[int]:
     while sizes[-1] < largest:
         sizes.append(min(int(np.ceil(WINDOW_FACTOR * sizes[-1])), largest))
     return sizes
-
-
-def _optimum(fits: Sequence[Response], start: np.ndarray) -> np.ndarray:
-    """Parameters (d,) in [0, 1] with the smallest sum of squares of the fitted residuals, found from `start`."""
-    inside = np.clip(start, 1e-6, 1.0 - 1e-6)
-    found = least_squares(lambda u: [each.at(u)[k] for k, each in enumerate(fits)], inside, bounds=(0.0, 1.0))
-    return np.asarray(found.x)
 
 
 def _significant(response: Response, at: np.ndarray) -> np.ndarray:

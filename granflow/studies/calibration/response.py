@@ -5,6 +5,7 @@ the fit (scatter between runs), at least the root mean square of the standard er
 values.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -52,7 +53,15 @@ class Response:
 
     def optimum(self, start: np.ndarray) -> np.ndarray:
         """Parameters (d,) in [0, 1] with the smallest sum of squared residuals, found from `start`."""
-        return np.asarray(least_squares(self.at, np.clip(start, 1e-6, 1.0 - 1e-6), bounds=(0.0, 1.0)).x)
+        return optimum_of(self.at, start)
+
+
+def optimum_of(residuals_at: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> np.ndarray:
+    """Parameters (d,) in [0, 1] with the smallest sum of squared residuals, found from `start`.
+
+    residuals_at:  function of parameters (d,) that returns residuals (residuals,)
+    """
+    return np.asarray(least_squares(residuals_at, np.clip(start, 1e-6, 1.0 - 1e-6), bounds=(0.0, 1.0)).x)
 
 
 def fewest_trials(count: int, degree: int = 1) -> int:
@@ -79,8 +88,12 @@ def highest_degree(trials: int, count: int) -> int:
 
 def nearest_trials(u: np.ndarray, best: int, degree: int) -> np.ndarray:
     """Indices of the half of the trials nearest to the best one, or of as many as a fit of `degree` needs."""
-    order = np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
-    return order[: max(fewest_trials(u.shape[1], degree), len(u) // 2)]
+    return by_distance(u, best)[: max(fewest_trials(u.shape[1], degree), len(u) // 2)]
+
+
+def by_distance(u: np.ndarray, best: int) -> np.ndarray:
+    """Indices of all trials in the order of their distance from the best one."""
+    return np.argsort(((u - u[best]) ** 2).sum(axis=1), kind="stable")
 
 
 def fit(u: np.ndarray, residuals: np.ndarray, degree: int, errors: np.ndarray | None = None) -> Response:
