@@ -58,11 +58,6 @@ class ControlledMotion:
         return self.velocity_max, "velocity_max"
 
     @property
-    def is_slow(self) -> bool:
-        """Whether gain and force, instead of velocity_max, limit the velocity of a servo without contacts."""
-        return self.gain * abs(self.force) < self.velocity_max
-
-    @property
     def key(self) -> str:
         """Key in messages and checkpoints."""
         return f"walls.{self.name}.motion.{self.motion}"

@@ -86,7 +86,7 @@ def _remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
         parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
     time = f"give it {MARGIN * distance / min(free, motion.velocity_max):.2g} s"
     text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
-    if motion.is_slow:
+    if free < motion.velocity_max:
         text += "; or approach by a translation, in a stage that ends at a force on the wall"
     return f"{text[0].upper()}{text[1:]}."
 
