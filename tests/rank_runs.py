@@ -20,7 +20,7 @@ from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
 from granflow.engine.host_particles import joined_particles  # noqa: E402
 from granflow.engine.threads import workers  # noqa: E402
-from granflow.parallel import decomposition, rank_engine  # noqa: E402
+from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
 from granflow.parallel.rank_engine import RankEngine  # noqa: E402
@@ -47,6 +47,7 @@ def main(name, path, kind):
     threads = 1
     if kind == "threads":
         workers.SINGLE_WORKER_PARTICLES, threads = 0, 2
+    rank_rebuild.MIGRATION_INTERVAL = 2  # every other rebuild keeps the particles
     communicator = Communicator()
     Recorded.rank_here = communicator.rank
     decomposition.Decomposition = Recorded

@@ -182,6 +182,11 @@ class HistoryTable:
             state.built(_saved_table).put(slice(first, last), {"partner": part.partner} | part.values)
             first = last
 
+    def clear(self, rows: slice) -> None:
+        """Let particles have no histories where a rank looks for them."""
+        if self._state.neighbors.history:
+            self._state.built(_range_table).put(rows, {"begin": 0, "end": 0})
+
 
 def _state_table(state: State) -> FieldTable:
     """Table of the contact state of all list entries."""

@@ -1,4 +1,4 @@
-"""Balance of the computing time of the ranks: when a rebuild decomposes space again, and with which weights.
+"""Balance of the computing time of the ranks: when a migration decomposes space again, and with which weights.
 
 The rule depends on measured times. Which rank owns a particle has no influence on the bits of a run.
 """
@@ -11,7 +11,7 @@ from granflow.parallel.communicator import Communicator
 from granflow.parallel.decomposition import Decomposition, bisected
 
 IMBALANCE = 1.1
-"""Largest over mean cost of a rank above which a rebuild decomposes space again."""
+"""Largest over mean cost of a rank above which a migration decomposes space again."""
 
 PARTICLE_WEIGHT, CONTACT_WEIGHT = 2, 1
 """Cost of a particle with six walls, and of a contact in the list of one particle: 40 and 24 ns, measured."""
@@ -30,7 +30,7 @@ class LoadBalance:
     """Decomposes space into parts of equal cost.
 
     The cost of a particle is its weight, which grows with its contacts, times the time per weight that its rank has
-    measured: that of the fastest step since the last rebuild, which other programs of the machine have not disturbed.
+    measured: that of the fastest step since the last migration, which other programs of the machine have not disturbed.
     """
 
     def __init__(self, communicator: Communicator) -> None:

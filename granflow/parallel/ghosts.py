@@ -1,5 +1,6 @@
 """Ghosts: copies of particles that other ranks own, within reach of the particles of this rank."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,20 +100,27 @@ class GhostExchange:
         self.first = self.count = 0
         self._prepare([], [])
 
-    def select(self, arrays: Arrays, reach_time: float) -> Arrays:
-        """Send the particles that other ranks need; returns the ghosts of this rank, all fields.
+    def selected(self, arrays: Arrays, reach_time: float) -> list[np.ndarray]:
+        """Indices (k,) of the owned particles that each rank needs as ghosts.
 
-        arrays:      saved fields of the owned particles, in the order that they have on the device from now on
+        arrays:      position, velocity, radius and reach of the owned particles
         reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
         """
         communicator, position = self._communicator, arrays["position"].astype(float)
         reach = reaches(self._state, arrays, reach_time)
         boxes = communicator.from_each(box_of(position, reach))
-        entries = [
+        return [
             np.zeros(0, np.int64) if rank == communicator.rank else within(self._state, box, position, reach)
             for rank, box in enumerate(boxes)
         ]
-        received = communicator.exchanged([{name: values[rows] for name, values in arrays.items()} for rows in entries])
+
+    def exchanged(self, entries: list[np.ndarray], rows_of: Callable[[np.ndarray], Arrays]) -> Arrays:
+        """Send particles to other ranks; returns the ghosts of this rank, all saved fields.
+
+        entries:  for each rank, indices (k,) on the device from now on
+        rows_of:  saved fields of the owned particles with some indices
+        """
+        received = self._communicator.exchanged([rows_of(rows) for rows in entries])
         self._prepare(entries, [len(part["id"]) for part in received])
         return joined_arrays(received)
 

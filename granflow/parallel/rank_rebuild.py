@@ -1,6 +1,7 @@
 """Neighbor-list rebuild of one MPI rank: migration, ghosts and neighbor lists.
 
-The particles, with their contact histories, pass through the host: sorting and selecting them takes a few steps' time.
+When particles migrate, all of a rank pass through the host with their contact histories: sorting and selecting them
+takes a few steps' time. Most rebuilds keep the owned particles, and select new ghosts only.
 """
 
 from collections.abc import Callable
@@ -10,13 +11,13 @@ import numpy as np
 
 from granflow.engine.contact_histories import WITHOUT_HISTORY, HistoryTable
 from granflow.engine.deleted_particles import DELETED_FIELDS
-from granflow.engine.host_copy import saved_particle_table
+from granflow.engine.host_copy import particle_table, saved_particle_table
 from granflow.engine.host_particles import HostParticles, at_present, joined_arrays
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.bounds import KEPT_REACH
 from granflow.engine.neighbor.deletion import find_farthest, remaining
 from granflow.engine.neighbor.neighbor_list import TOO_LONG
-from granflow.engine.neighbor.rebuild import RebuildKernel
+from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
 from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
@@ -29,6 +30,15 @@ from granflow.plan.capacities import GROWTH_FACTOR, REACH_STEPS
 
 UNUSED = -1
 """Id of array entries that contain no particle."""
+
+MIGRATION_INTERVAL = 8
+"""Rebuilds from one migration to the next, unless deletion, insertion or the number of ghosts require it earlier."""
+
+MORE_GHOSTS = 1.25
+"""Ghosts of a rank over those after the last migration above which particles migrate."""
+
+SEARCHED = ("position", "velocity", "radius", "reach", "fixed")
+"""Fields from which a rebuild selects ghosts, and particles to delete."""
 
 
 class RankRebuild:
@@ -57,22 +67,27 @@ class RankRebuild:
         self.balance = LoadBalance(communicator)
         self._ids: np.ndarray = np.zeros(0, np.int32)
         self._deleted: set[int] = set()
+        self._rebuilds_left = self._ghosts_at_migration = 0
 
     def compile(self) -> None:
         """Compile the kernels, unless the state has them."""
         self._state.built(RebuildKernel).compile()
+        self._prepare(0, 1, 0)
 
     def run(self, pose: int, workers: int) -> None:
-        """Delete and migrate particles, select ghosts, and fill the neighbor lists.
+        """Delete and migrate particles if necessary, select ghosts, and fill the neighbor lists.
 
         pose:     index of the wall poses at the time of the positions
         workers:  number of workers of the launch
         """
         state, reach_time = self._state, REACH_STEPS * self._state.clock.time_step
         mark_rebuild(state)  # displacements of walls count from here
-        particles = self._taken()
-        present, deleted = self._without_deleted(particles.arrays)
-        self._list(particles, present, deleted, pose, workers, reach_time)
+        if self._replace_ghosts(pose, workers, reach_time):
+            self._fill(pose, workers, reach_time)
+        else:
+            particles = self._taken()
+            present, deleted = self._without_deleted(particles.arrays)
+            self._list(particles, present, deleted, pose, workers, reach_time)
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
             find_farthest(state)
 
@@ -96,6 +111,50 @@ class RankRebuild:
         """Ids of the owned particles and the ghosts, by index."""
         return self._ids
 
+    def _replace_ghosts(self, pose: int, workers: int, reach_time: float) -> bool:
+        """Keep the owned particles and replace the ghosts; False, on all ranks, if particles must migrate.
+
+        pose, workers, reach_time:  as for `_list`
+        """
+        state = self._state
+        if not self._rebuilds_left:
+            return False
+        fits = self._prepare(pose, workers, state.count)
+        owned = state.built(particle_table, SEARCHED).take(slice(0, state.count))
+        entries = self.ghosts.selected(owned, reach_time)
+        stays = fits and not self.pending and bool(remaining(state, owned).all())
+        if not self._agree_to_keep(stays, [len(rows) for rows in entries]):
+            return False
+        self._rebuilds_left -= 1
+        table, first = saved_particle_table(state), self.ghosts.first
+        ghosts = self.ghosts.exchanged(entries, table.take)
+        self._deleted = set()
+        self._ids = np.concatenate([self._ids[:first], ghosts["id"]])
+        table.put(slice(first, len(self._ids)), ghosts)
+        self._histories.clear(slice(first, len(self._ids)))
+        return True
+
+    def _agree_to_keep(self, stays: bool, sent: list[int]) -> bool:
+        """Whether no rank needs a migration.
+
+        stays:  whether this rank needs none
+        sent:   number of particles that it would send to each rank as ghosts
+        """
+        free = self._state.plan.capacities.particles - self.ghosts.first
+        limit = min(free, int(MORE_GHOSTS * self._ghosts_at_migration) + self._state.plan.chunk_size)
+        gathered = self._communicator.from_each((stays, limit, sent))
+        received = np.sum([numbers for _, _, numbers in gathered], axis=0)
+        return all(each and count <= most for (each, most, _), count in zip(gathered, received, strict=True))
+
+    def _prepare(self, pose: int, workers: int, count: int) -> bool:
+        """Wrap the owned particles and save their contact histories on the device; False if these do not fit."""
+        state = self._state
+        launch = state.built(ChunkKernel).launch
+        if launch is None:
+            return True
+        launch(workers, 0, count, state.plan.skin, 0.0, state.clock.time_step, pose)
+        return int(state.control.list_length_needed[0]) <= state.capacities.saved_entries_per_segment
+
     def _list(
         self,
         particles: HostParticles,
@@ -112,7 +171,10 @@ class RankRebuild:
         reach_time:  [s], see `engine.neighbor.bounds.bounds_phases`
         """
         share = self._share(particles, present)
-        self._place(share, self.ghosts.select(share.arrays, reach_time), deleted)
+        entries = self.ghosts.selected(share.arrays, reach_time)
+        ghosts = self.ghosts.exchanged(entries, lambda rows: {name: each[rows] for name, each in share.arrays.items()})
+        self._rebuilds_left, self._ghosts_at_migration = MIGRATION_INTERVAL - 1, self.ghosts.count
+        self._place(share, ghosts, deleted)
         self._fill(pose, workers, reach_time)
         return share
 

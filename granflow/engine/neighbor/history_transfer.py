@@ -19,10 +19,12 @@ def build_save_history(state: State) -> Any:
     the host repeats the rebuild with a larger capacity. If each particle is a chunk, it reserves its entries by an
     atomic addition: their places depend on the threads, and nothing depends on their places.
 
-    Reads:   neighbor lists, in_contact, history
+    On MPI ranks the partner is saved by its id: ghosts have other indices afterwards.
+
+    Reads:   neighbor lists, in_contact, history, id
     Writes:  saved, partner_saved, list_begin_before, list_end_before, list_length_needed
     """
-    neighbors, names = state.neighbors, list(state.neighbors.history)
+    neighbors, names, has_ghosts = state.neighbors, list(state.neighbors.history), state.plan.has_ghosts
     saved_capacity, one_segment = state.parameter("saved_capacity"), state.plan.chunk_size == 1
 
     @ti.func
@@ -35,7 +37,11 @@ def build_save_history(state: State) -> Any:
 
     @ti.func
     def save_entry(list_index, saved_index):
-        neighbors.partner_saved[saved_index] = neighbors.partner[list_index]
+        partner = neighbors.partner[list_index]
+        if ti.static(has_ghosts):
+            if partner >= 0:
+                partner = state.particles.id[partner]
+        neighbors.partner_saved[saved_index] = partner
         for name in ti.static(names):
             neighbors.saved[name][saved_index] = neighbors.history[name][list_index]
 
@@ -69,8 +75,8 @@ def build_restore_history(state: State) -> Any:
     """Device function (list index, i, j): copy the history of a pair from before the sort to its new list entry.
 
     If the pair was in the list of the partner, vectors change their sign. Without a saved history all values are zero.
-    On MPI ranks the host has saved the histories with the ids of the partners, and the range of each particle in its
-    new place; the range of a ghost that this rank has owned is that of before.
+    On MPI ranks the histories are saved with the ids of the partners, and the range of each particle at its new index;
+    the range of a ghost that this rank has owned is that of before.
 
     Reads:   order, id, saved, partner_saved
     Writes:  history, in_contact

@@ -50,6 +50,17 @@ class RebuildKernel:
         self.launch(1, self.fill, 0, 0.0, 0.0, 0.0, 0)
 
 
+class ChunkKernel:
+    """The kernel that prepares the owned particles of an MPI rank for a rebuild without migration.
+
+    launch:  see `build_rebuild`; None if there is nothing to prepare
+    """
+
+    def __init__(self, state: State) -> None:
+        phases = _chunk_phases(state)
+        self.launch = build_rebuild(state, phases) if phases else None
+
+
 class Rebuild(Protocol):
     """Rebuild of the neighbor lists."""
 
