@@ -114,14 +114,23 @@ def test_small_silo_carries_its_weight(taichi_f64):
 
 
 def test_evaluation_of_the_discharge_recovers_beverloos_law():
-    cases = silo.discharge_cases(flow=lambda radius, _: silo.beverloo_flow(2.0 * radius))
+    cases = silo.discharge_cases(flows_of=lambda radius, _: [silo.beverloo_flow(2.0 * radius)] * 3)
     assert statuses(cases) == ["pass"] * 8
     assert [each.value for each in cases[-2:]] == pytest.approx([1.4, 2.5], rel=1e-6)
 
 
 def test_a_wrong_flow_fails_in_a_wide_silo_and_misses_in_narrow_ones():
-    cases = silo.discharge_cases(flow=lambda radius, _: 2.0 * silo.beverloo_flow(2.0 * radius))
+    cases = silo.discharge_cases(flows_of=lambda radius, _: [2.0 * silo.beverloo_flow(2.0 * radius)] * 3)
     assert statuses(cases) == ["miss"] * 5 + ["fail"] + ["pass"] * 2
+
+
+def test_the_scatter_of_the_fillings_is_part_of_the_allowed_deviation():
+    """Flows of 0.94, 1 and 1.06 of the law have a standard deviation of 0.06; C and k have 10 % each."""
+    law = silo.beverloo_flow(0.028)
+    case = silo.discharge_case(0.028, 0.148, [0.94 * law, law, 1.06 * law])
+    share = 2.5 * silo.K * silo.DIAMETER / (0.028 - silo.K * silo.DIAMETER)
+    assert case.value == pytest.approx(law)
+    assert case.allowed == pytest.approx(3.0 * 0.06 / 3.0**0.5 + 0.1 * (1.0 + share**2) ** 0.5)
 
 
 @pytest.mark.parametrize(("orifice", "width", "expected"), [(0.028, 0.148, True), (0.028, 0.147, False),

@@ -22,7 +22,6 @@ from granflow.studies.validation.peers.impact import IMPACT
 from granflow.studies.validation.peers.orifice import ORIFICE
 from granflow.studies.validation.peers.shaken import SHAKEN
 from granflow.studies.validation.peers.silo import SILO
-from granflow.studies.validation.peers.state import PERTURBATION
 
 CASES: Mapping[str, PeerCase] = {each.name: each for each in (COLUMN, HOPPER, SILO, ORIFICE, IMPACT, SHAKEN, *DRUMS)}
 """Cases by name."""
@@ -127,19 +126,13 @@ def allowed_difference(ours: Sequence[float], theirs: Sequence[float]) -> tuple[
 
         t s sqrt(1/n + 1/m)
 
-    with the pooled standard deviation s of n and m samples and Student's t for their n + m - 2 degrees of freedom; for
-    one sample of the peer, three standard deviations s of the samples of granflow.
+    with the pooled standard deviation s of n and m samples and Student's t for their n + m - 2 degrees of freedom.
     """
     from scipy.stats import t
 
     n, m = len(ours), len(theirs)
     squares = sum(float(np.sum((np.asarray(each) - np.mean(each)) ** 2)) for each in (ours, theirs))
     spread = math.sqrt(squares / (n + m - 2)) * math.sqrt(1.0 / n + 1.0 / m)
-    start = f"their velocities differ by {PERTURBATION:g}"
-    if m == 1:
-        return 3.0 * spread, (
-            f"three standard deviations of the difference between one run and the mean of {n}; {start}"
-        )
     factor = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n + m - 2))
     return factor * spread, (
         f"{factor:.3g} standard deviations of the difference between the means of {n} and {m} runs or intervals "
