@@ -14,11 +14,12 @@ def plot(options: argparse.Namespace) -> int:
 
     Raises GranflowError for a file without rows, an unknown column or stage, and a type of file that is not supported.
     """
-    from granflow.studies.plot.curves import panels_of, series_of
+    from granflow.studies.plot.curves import panels_of
     from granflow.studies.plot.plot import default_path, write_plot
+    from granflow.studies.plot.source import series_of
 
     if not options.y:
-        path, series = series_of(options.sources[0])
+        path, series = series_of(options.sources[0], options.x)
         columns = [("time", "s"), *((each.name, each.unit) for each in series.columns)]
         show_table(f"Columns of {path}; choose with --y, and --x", ("column", "unit"), columns)
         return 0
@@ -37,7 +38,8 @@ def add_plot(verbs: Any) -> None:
     parser = add_verb(verbs, plot, summary)
     parser.add_argument(
         "sources", metavar="RUN", type=Path, nargs="+",
-        help="directory of a run, or a CSV file with times such as OUT/analysis/metrics.csv",
+        help="directory of a run, or a CSV file with times such as OUT/analysis/metrics.csv or "
+        "OUT/collision_energies.csv; of the latter, --x energy draws the distribution at the end",
     )  # fmt: skip
     parser.add_argument(
         "--y", metavar="COLUMN", nargs="+", default=[],

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, GranflowError
-from granflow.io.tables import read_table
+from granflow.io.tables import Table, read_table
 
 TIME, STAGE = "time", "stage"
 """Names of the first two columns of timeseries.csv."""
@@ -38,18 +38,27 @@ class TimeSeriesTable:
 
 
 def read_series(path: Path) -> TimeSeriesTable | None:
-    """Columns of a time series without an incomplete last line; None if it has no rows.
+    """Columns of a time series file; None if it does not exist or has no rows.
 
-    Cells that are not numbers become nan. Raises GranflowError if the file is not CSV.
+    Raises GranflowError if the file is not CSV.
     """
-    if not path.exists():
-        return None
+    found = table_of_run(path) if path.exists() else None
+    return None if found is None else series_in(found)
+
+
+def table_of_run(path: Path) -> Table | None:
+    """The table in a CSV file that a run wrote; None without a header. Raises GranflowError if it is not CSV."""
     try:
-        found = read_table(path)
+        return read_table(path)
     except FileError as error:
         raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
-    if found is None:
-        return None
+
+
+def series_in(found: Table) -> TimeSeriesTable | None:
+    """Columns of a table without its incomplete rows; None if it has no rows or no column `time`.
+
+    Cells that are not numbers become nan.
+    """
     table, labels = found.complete(), [_split(head) for head in found.names]
     names = [name for name, _ in labels]
     if not table.rows or TIME not in names:

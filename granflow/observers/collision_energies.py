@@ -5,15 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from granflow.io.collision_energies import COLUMNS
 from granflow.io.row_file import RowFile
 from granflow.observers.base import TOTALS
 from granflow.observers.schedule import ScheduledObserver
 from granflow.snapshot import Snapshot
-
-COLUMNS = (
-    "time_start [s]", "time_end [s]", "contact", "energy_min [J]", "energy_max [J]", "count", "count_total",
-)  # fmt: skip
-"""Columns of the file."""
 
 
 class CollisionEnergies(ScheduledObserver):

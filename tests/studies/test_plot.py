@@ -8,6 +8,7 @@ import pytest
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
+from granflow.io.collision_energies import COLUMNS
 from granflow.io.time_series import read_series
 from granflow.studies.plot.curves import panels_of
 from granflow.studies.plot.expression import quantity_of
@@ -152,3 +153,75 @@ def test_invalid_arguments(run, tmp_path, monkeypatch, capsys, arguments, senten
     monkeypatch.chdir(tmp_path)
     assert main(["plot", *(str(run) if each == "RUN" else each for each in arguments)]) == 2
     assert sentence in capsys.readouterr().err
+
+
+COLLISION_ROWS = {  # end of the interval: count and count_total of the classes of particle, then of wall
+    1.0: ([0, 2, 3, 0], [0, 2, 3, 0], [1, 0, 0, 0], [1, 0, 0, 0]),
+    2.0: ([0, 1, 1, 4], [0, 3, 4, 4], [0, 5, 0, 0], [1, 5, 0, 0]),
+}
+
+
+@pytest.fixture
+def collisions(tmp_path):
+    """collision_energies.csv of two intervals with four classes, and an incomplete third interval."""
+    edges = [0.0, 1e-6, 1e-4, 1e-2, np.inf]
+    rows = []
+    for end, numbers in COLLISION_ROWS.items():
+        for kind, counts, totals in (("particle", *numbers[:2]), ("wall", *numbers[2:])):
+            classes = zip(edges[:-1], edges[1:], counts, totals, strict=True)
+            rows += [(end - 1.0, end, kind, *values) for values in classes]
+    rows.append((2.0, 3.0, "particle", 0.0, 1e-6, 9, 9))
+    path = tmp_path / "collision_energies.csv"
+    path.write_text("\n".join([",".join(COLUMNS), *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+def test_numbers_of_collisions_over_time(collisions):
+    names = ["count.particle", "count_total.particle", "count.wall", "count.particle_0.0001_to_0.01_J"]
+    (panel,) = panels_of([collisions], "time", names)
+    assert [curve.x.tolist() for curve in panel.curves] == [[1.0, 2.0]] * 4
+    assert [curve.y.tolist() for curve in panel.curves] == [[5, 6], [5, 11], [1, 5], [3, 1]]
+
+
+def test_distribution_of_collisions_over_energy_is_that_at_the_end(collisions):
+    (panel,) = panels_of([collisions], "energy", ["count_total.particle", "count.wall"])
+    assert panel.x_title == "energy (J)"
+    assert [curve.y.tolist() for curve in panel.curves] == [[0, 3, 4, 4], [0, 5, 0, 0]]
+    assert panel.curves[0].x == pytest.approx([np.nan, 1e-5, 1e-3, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize("ending", ["png", "html"])
+def test_files_of_a_distribution_with_open_classes(collisions, ending):
+    pytest.importorskip("matplotlib" if ending == "png" else "plotly")
+    out = collisions.with_suffix(f".{ending}")
+    arguments = ["--x", "energy_max", "--y", "count.wall", "--log", "xy", "--out", str(out)]
+    assert main(["plot", str(collisions), *arguments]) == 0 and out.stat().st_size > 1000
+
+
+def test_columns_of_collisions_are_listed_for_both_axes(collisions, capsys):
+    assert main(["plot", str(collisions)]) == 0
+    assert re.search(r"count_total\.wall\b", capsys.readouterr().out)
+    assert main(["plot", str(collisions), "--x", "energy"]) == 0
+    assert re.search(r"energy_min\W+J\b", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (",".join(COLUMNS) + "\n", "has no complete rows yet."),
+        (",".join(COLUMNS) + "\n0,1,particle,0,1e-6,2,2\n", "has no complete rows yet."),
+        ("time [s],speed [m/s]\n", "has no complete rows yet."),
+        ("energy [J],number\n1,2\n", "has neither a column time nor the columns of collision_energies.csv; its columns "
+         "are: energy, number."),
+        ("", "its columns are: none."),
+    ],
+)  # fmt: skip
+def test_file_without_known_columns_or_rows(tmp_path, text, sentence):
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(GranflowError, match=re.escape(sentence)):
+        panels_of([tmp_path / "table.csv"], "time", ["count.wall"])
+
+
+def test_unknown_column_of_collisions(collisions):
+    with pytest.raises(GranflowError, match=r"has no column count\.wal\. Did you mean count\.wall\?"):
+        panels_of([collisions], "energy", ["count.wal"])

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
+from granflow.io.time_series import SeriesColumn, TimeSeriesTable
 from granflow.studies.plot.expression import WORD, quantity_of
+from granflow.studies.plot.source import series_of
 from granflow.studies.report.series import common_title
 from granflow.visible_text import distinct_endings, numbered
 
@@ -34,28 +35,13 @@ class Panel:
     curves: tuple[Curve, ...]
 
 
-def series_of(source: Path) -> tuple[Path, TimeSeriesTable]:
-    """File and time series of the directory of a run, or of a CSV file with a column `time`.
-
-    Raises GranflowError if there is no such file or if it has no rows.
-    """
-    path = source / "timeseries.csv" if source.is_dir() else source
-    if not path.exists():
-        reason = f"{source} contains no timeseries.csv" if source.is_dir() else f"{source} does not exist"
-        raise GranflowError(f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times.")
-    series = read_series(path)
-    if series is None:
-        raise GranflowError(f"{path} has no rows with a column time.")
-    return path, series
-
-
 def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequence[str] = ()) -> list[Panel]:
     """One panel for each unit of the quantities `y`, with the curves of all sources over `x`.
 
     `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages, and for
     more curves than MOST_CURVES.
     """
-    found = [series_of(source) for source in sources]
+    found = [series_of(source, x) for source in sources]
     names = short_names(sources)
     panels: dict[str, list[tuple[str, SeriesColumn, SeriesColumn]]] = {}
     for name, (path, series) in zip(names, found, strict=True):

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from granflow.io.tables import Table, read_table
+from granflow.io.collision_energies import collision_table
+from granflow.io.tables import read_table
 from granflow.studies.figures import COLORS
 from granflow.studies.report.plots import Plot, curve_layout, plain
 from granflow.studies.report.topics import Topic
@@ -24,50 +25,35 @@ def collision_topics(directory: Path, with_plots: bool) -> Iterator[Topic]:
     """
     path = directory / FILE
     table = read_table(path) if path.exists() else None
-    if table is None or not table.complete().rows:
+    collisions = None if table is None else collision_table(table)
+    if collisions is None:
         return
-    numbers = _numbers_at_end(table.complete())
-    kinds = list(numbers)
-    edges = next(iter(numbers.values()))[0]
+    total = {kind: counts[-1] for kind, counts in collisions.totals.items()}
     rows = [
-        (f"{low:.3g} to {high:.3g} J", *(readable(float(numbers[kind][1][row])) for kind in kinds))
-        for row, (low, high) in enumerate(edges)
-        if any(numbers[kind][1][row] for kind in kinds)
+        (f"{low:.3g} to {high:.3g} J", *(readable(float(counts[row])) for counts in total.values()))
+        for row, (low, high) in enumerate(collisions.edges)
+        if any(counts[row] for counts in total.values())
     ]
     caption = "Contacts that began since the start of the run, by impact energy; classes without collisions are absent."
-    heads = ("impact energy", *(f"with a {kind}" for kind in kinds))
-    plots = [Plot(TITLE, _figure(numbers))] if with_plots else []
+    heads = ("impact energy", *(f"with a {kind}" for kind in total))
+    plots = [Plot(TITLE, _figure(collisions.energy, total))] if with_plots else []
     yield Topic(TITLE, (), [], plots, (PageTable(heads, rows, caption),))
 
 
-def _numbers_at_end(table: Table) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Edges (n, 2) [J] and numbers of collisions (n,) since the start, in the last interval, by kind of contact."""
-    end, low, high, total = (
-        table.numbers(table.names.index(name))
-        for name in ("time_end [s]", "energy_min [J]", "energy_max [J]", "count_total")
-    )
-    kind, last = np.array(table.texts(table.names.index("contact"))), end == end[-1]
-    return {
-        str(each): (np.stack([low, high], axis=1)[last & (kind == each)], total[last & (kind == each)])
-        for each in dict.fromkeys(kind[last].tolist())
-    }
-
-
-def _figure(numbers: dict[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
+def _figure(energy: np.ndarray, total: dict[str, np.ndarray]) -> dict[str, Any]:
     """Numbers of collisions over the centers of their classes, both logarithmic, in the format of plotly."""
-    curves = []
-    for color, (kind, (edges, counts)) in zip(COLORS, numbers.items(), strict=False):
-        inner = slice(1, -1)  # the first and the last class have an open end
-        curves.append(
-            {
-                "type": "scatter",
-                "mode": "lines+markers",
-                "name": f"with a {kind}",
-                "x": plain(np.sqrt(edges[inner, 0] * edges[inner, 1])),
-                "y": [count or None for count in plain(counts[inner])],
-                "line": {"color": color, "width": 1.8},
-            }
-        )
+    known = np.isfinite(energy)
+    curves = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": f"with a {kind}",
+            "x": plain(energy[known]),
+            "y": [count or None for count in plain(counts[known])],
+            "line": {"color": color, "width": 1.8},
+        }
+        for color, (kind, counts) in zip(COLORS, total.items(), strict=False)
+    ]
     layout = curve_layout("impact energy (J)", "collisions per class", True)
     for axis in ("xaxis", "yaxis"):
         layout[axis] = layout[axis] | {"type": "log", "exponentformat": "power"}

@@ -1,0 +1,83 @@
+"""Sources of `granflow plot`: time series, and the counts of collisions over time or over their energy."""
+
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import GranflowError
+from granflow.io.collision_energies import CollisionTable, collision_table, has_collisions
+from granflow.io.tables import Table
+from granflow.io.time_series import TIME, SeriesColumn, TimeSeriesTable, series_in, table_of_run
+from granflow.studies.plot.expression import WORD
+
+ENERGIES = ("energy", "energy_min", "energy_max")
+"""Columns [J] of the classes of collisions; one of them on the horizontal axis selects the distribution at the end."""
+
+
+def series_of(source: Path, x: str) -> tuple[Path, TimeSeriesTable]:
+    """File and columns of the directory of a run, or of a CSV file with a column `time` or with counts of collisions.
+
+    `x`: quantity of the horizontal axis. Raises GranflowError if there is no such file, or if it has neither rows nor
+    known columns.
+    """
+    path = source / "timeseries.csv" if source.is_dir() else source
+    if not path.exists():
+        reason = f"{source} contains no timeseries.csv" if source.is_dir() else f"{source} does not exist"
+        raise GranflowError(f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times.")
+    table = table_of_run(path)
+    series = None if table is None else _series_in(table, x)
+    if series is None:
+        raise GranflowError(_reason(path, table))
+    return path, series
+
+
+def _series_in(table: Table, x: str) -> TimeSeriesTable | None:
+    """The columns of a table; None without rows or known columns."""
+    if not has_collisions(table.names):
+        return series_in(table)
+    collisions = collision_table(table)
+    if collisions is None:
+        return None
+    return _distribution(collisions) if set(WORD.findall(x)) & set(ENERGIES) else _history(collisions)
+
+
+def _reason(path: Path, table: Table | None) -> str:
+    """Sentence on a file without rows or with unknown columns."""
+    names = [] if table is None else [name.partition(" [")[0] for name in table.names]
+    if TIME in names or has_collisions(() if table is None else table.names):
+        return f"{path} has no complete rows yet."
+    return (
+        f"{path} has neither a column time nor the columns of collision_energies.csv; its columns are: "
+        f"{', '.join(names) or 'none'}."
+    )
+
+
+def _history(collisions: CollisionTable) -> TimeSeriesTable:
+    """Numbers over time: of all collisions of a kind of contact, and by class."""
+    low_high = [f"{low:.4g}_to_{high:.4g}_J" for low, high in collisions.edges]
+    columns = []
+    for quantity, numbers in _numbers(collisions):
+        for kind, values in numbers.items():
+            columns.append(SeriesColumn(f"{quantity}.{kind}", "", values.sum(axis=1)))
+            columns += [SeriesColumn(f"{quantity}.{kind}_{name}", "", values[:, k]) for k, name in enumerate(low_high)]
+    return _table(collisions.time, columns)
+
+
+def _distribution(collisions: CollisionTable) -> TimeSeriesTable:
+    """Numbers over the energy of the classes: in the last interval, and since the start of the run."""
+    energies = (collisions.energy, *collisions.edges.T)
+    columns = [SeriesColumn(name, "J", values) for name, values in zip(ENERGIES, energies, strict=True)]
+    columns += [
+        SeriesColumn(f"{quantity}.{kind}", "", values[-1])
+        for quantity, numbers in _numbers(collisions)
+        for kind, values in numbers.items()
+    ]
+    return _table(np.full(len(collisions.edges), collisions.time[-1]), columns)
+
+
+def _numbers(collisions: CollisionTable) -> tuple[tuple[str, dict[str, np.ndarray]], ...]:
+    return (("count", collisions.counts), ("count_total", collisions.totals))
+
+
+def _table(time: np.ndarray, columns: list[SeriesColumn]) -> TimeSeriesTable:
+    return TimeSeriesTable(time, np.full(len(time), ""), tuple(columns), ())
