@@ -113,14 +113,20 @@ class PeriodicBox:
         return shifted, gradient_counts
 
     def with_images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face.
+        """Centers (m, 3) and radii (m,) [m] of spheres and of the images of those that cross a periodic face."""
+        return self.images(position, radius)[:2]
+
+    def images(self, position: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centers (m, 3) and radii (m,) [m] as `with_images`, and the index (m,) of the sphere of each image.
 
         The given spheres come first. At an edge or corner, all images of a sphere are included. Without shear.
         """
+        index = np.arange(len(radius))
         for axis in self.axes:
             height = position[:, axis] - self.low[axis]
             below, above = height < radius, height > self.width[axis] - radius
             shift = self.width[axis] * np.eye(3)[axis]
             position = np.concatenate([position, position[below] + shift, position[above] - shift])
             radius = np.concatenate([radius, radius[below], radius[above]])
-        return position, radius
+            index = np.concatenate([index, index[below], index[above]])
+        return position, radius, index

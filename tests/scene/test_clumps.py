@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from clumps import ROD, about, clump_group
-from scene_builders import SOFT, build_scene, plane
+from scene_builders import SOFT, build_scene, particle_group, plane
 
 from granflow.errors import GranflowError, SceneError
 from granflow.geometry.clump_shape import clump_shape
@@ -132,6 +132,37 @@ def test_clumps_side_by_side_do_not_overlap_although_the_spheres_around_them_do(
     """Parallel rods with a radius of 2 mm, 4.5 mm apart; the spheres around them have a radius of 5 mm."""
     scene = build_scene({"rods": clump_group([[0, 0, 0], [0, 4.5e-3, 0]])})
     refuse_initial_overlaps(scene, initial_particles(scene))
+
+
+CROSSED = {"axis": [0.0, 0.0, 1.0], "angle": np.pi / 2}
+PERIODIC = {"min": [-0.1] * 3, "max": [0.1] * 3, "periodic": ["x", "z"], "on_exit": "error"}
+OVERLAPS = {
+    "side": ([[0, 0, 0], [0, 3e-3, 0]], None, "rods[0] at [0, 0, 0] m and particles rods[1] at [0, 0.003, 0] m overlap "
+             "by 0.5 of", "1 pair overlaps by more). Move them 0.001 m"),
+    "ends": ([[0, 0, 0], [9e-3, 0, 0], [18e-3, 0, 0]], None, "overlap by 0.5 of", "2 pairs overlap by more"),
+    "orientation": ([[0, 0, 0], [0, 6e-3, 0]], [{"axis": [0.0, 0.0, 1.0], "angle": 0.0}, CROSSED],
+                    "overlap by 0.419 of", "1 pair"),
+    "periodic": ([[-0.096, 0, 0], [0.0955, 0, 0]], None, "rods[0] at [-0.096, 0, 0] m and the periodic image of "
+                 "particles rods[1] at [-0.1045, 0, 0] m overlap by 0.75 of", "1 pair"),
+}  # fmt: skip
+"""Positions of rods with a radius of 2 mm, their orientations, and two parts of the sentence."""
+
+
+@pytest.mark.parametrize("name", OVERLAPS)
+def test_clumps_whose_spheres_overlap_at_the_start_are_refused(name):
+    """The ends of a rod are 5 mm from its center; 3.162 mm separate the spheres nearest to the end of a crossed rod."""
+    positions, orientation, *parts = OVERLAPS[name]
+    scene = build_scene({"rods": clump_group(positions, orientation=orientation)}, domain=PERIODIC)
+    with pytest.raises(SceneError) as caught:
+        refuse_initial_overlaps(scene, initial_particles(scene))
+    assert [part for part in parts if part not in str(caught.value)] == []
+
+
+def test_sphere_that_overlaps_a_sphere_of_a_clump_is_refused():
+    ball = particle_group([[6e-3, 0, 0]], 0.004)
+    scene = build_scene({"rods": clump_group([[0, 0, 0], [0.05, 0, 0]]), "balls": ball})
+    with pytest.raises(SceneError, match=r"particles rods\[0\] at .* and particles balls\[0\] at .* by 0.5 of"):
+        refuse_initial_overlaps(scene, initial_particles(scene))
 
 
 def floored(group, height):

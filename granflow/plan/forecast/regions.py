@@ -8,8 +8,9 @@ from granflow.geometry.catalog import distance_from
 from granflow.geometry.motion import pose
 from granflow.load import Scene
 from granflow.particles.insertion import insertion_region
-from granflow.particles.particle_data import ParticleData, orientations
+from granflow.particles.particle_data import ParticleData
 from granflow.particles.regions import RegionSampler, sampler_of
+from granflow.plan.forecast.spheres import spheres_by_particle
 from granflow.plan.forecast.times import is_present, nominal_times
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import outer_diameter_range
@@ -31,7 +32,7 @@ def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str
         if radius > region.radius_max:
             continue  # the particles do not fit: reported when they are generated
         points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
-        bodies = _bodies(group, points, np.full(SAMPLES, radius), None)
+        bodies = spheres_by_particle(group, points, np.full(SAMPLES, radius), None)
         start = getattr(group.insert, "start", 0.0)
         for wall, overlap in _overlaps(plan.walls, bodies, start, times):
             share = float(np.mean(overlap > plan.max_overlap))
@@ -54,7 +55,7 @@ def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iter
         if group.fixed or not len(own) or region_of(group) is not None:
             continue
         points, turns = particles.position[own], particles.orientation
-        bodies = _bodies(group, points, particles.radius[own], None if turns is None else turns[own])
+        bodies = spheres_by_particle(group, points, particles.radius[own], None if turns is None else turns[own])
         for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
             count = int((overlap > plan.max_overlap).sum())
             if count:
@@ -75,21 +76,6 @@ def region_of(group: Group) -> RegionSampler | None:
     if isinstance(insertion, InletInsertion):
         return insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0)
     return None
-
-
-def _bodies(
-    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
-
-    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
-    """
-    if group.clump is None:
-        return points[:, None], radius[:, None]
-    shape = group.clump.shape
-    if orientation is None:
-        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
-    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))
 
 
 def _overlaps(
