@@ -25,15 +25,15 @@ def compare(options: argparse.Namespace) -> int:
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
     for key in variant_keys(laws):
         prepare_output(out / key, scene, options.overwrite)
-    from granflow.studies.compare.report import PAGE, compare, size_note, stage_note, stop_notes
+    from granflow.studies.compare.report import PAGE, compare, notes_on, stage_note
     from granflow.studies.compare.summary import as_text, heads
 
     found = compare(
         scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
         say_progress,
     )  # fmt: skip
-    show_table(scene.title, heads(found.runs), as_text(found.rows))
-    for note in (stage_note(found), size_note(found), *stop_notes(found)):
+    show_table(scene.title, heads(found.runs, is_short=True), as_text(found.rows))
+    for note in (stage_note(found), *notes_on(found)):
         say(note)
     for assessment in found.assessments:
         say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")

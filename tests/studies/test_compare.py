@@ -12,9 +12,11 @@ from scene_builders import SOFT, build_scene, particle_group, plane
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
+from granflow.studies.compare.collisions import subject_of
 from granflow.studies.compare.paraview import write_script
-from granflow.studies.compare.report import compare
-from granflow.studies.compare.summary import densest_stage
+from granflow.studies.compare.report import compare, notes_on
+from granflow.studies.compare.soft_spring import soft_spring_note
+from granflow.studies.compare.summary import densest_stage, heads
 from granflow.studies.compare.variants import law_names, variants_of
 
 DIAMETER, SPEED = 0.01, 1.0
@@ -120,6 +122,38 @@ def test_the_springs_are_assessed_in_the_scene(found):
     assert spring_per_contact.holds is None and "too few contacts" in spring_per_contact.why
 
 
+def test_ratios_are_named_by_both_contact_models(found):
+    """The first model is the linear spring per contact; the names in the terminal are short."""
+    runs = found[0].runs
+    one_spring = "linear\nof 0.1 m/s"
+    ratios = [f"{title}\nover linear\nper contact" for title in (one_spring, "hertz")]
+    assert heads(runs)[3:] == [one_spring, ratios[0], "hertz", ratios[1]]
+    assert heads(runs, is_short=True)[4::2] == ["over\nlinear\nper contact"] * 2
+
+
+def test_a_spring_below_the_impact_velocity_is_reported(found):
+    """The particles collide at ten times the reference velocity: a spring 10^0.4 times as stiff is required."""
+    (sentence,) = (note for note in notes_on(found[0]) if "softer" in note)
+    assert sentence.startswith(
+        "linear of 0.1 m/s is softer than the impacts of this scene require: the largest overlap"
+    )
+    velocity = re.search(r"an impact at (\S+) m/s, for which Eq. 19 gives a spring 2.5 times as stiff", sentence)[1]
+    assert float(velocity) == pytest.approx(SPEED, rel=0.03), "rows of the time series miss the largest overlap"
+    assert "--reference-velocity" in sentence and "run.velocity_max" in sentence
+    assert sentence.partition(":")[0] in (found[1] / "compare.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("over_reference", "is_soft"), [(1.0, False), (1.4, False), (1.6, True)])
+def test_softness_follows_from_the_largest_overlap(over_reference, is_soft):
+    subject = subject_of(head_on(), SPEED)
+    overlap = overlap_max(over_reference * SPEED) / (0.5 * DIAMETER)
+    runs = [SimpleNamespace(variant=SimpleNamespace(key=key, title=key), stopped="",
+                            columns={"overlap_largest": np.array([np.nan, overlap])})
+            for key in ("hertz", "linear_reference")]  # fmt: skip
+    assert bool(soft_spring_note(runs, subject)) == is_soft
+    assert not soft_spring_note(runs[:1], subject) and not soft_spring_note(runs, None)
+
+
 def test_energy_is_conserved(table):
     assert table["energy error, end", "hertz"][0] < 5e-3
     assert table["kinetic energy, end", "hertz"][0] == pytest.approx(0.5 * MASS_EFF * SPEED**2, rel=1e-4)
@@ -128,7 +162,8 @@ def test_energy_is_conserved(table):
 def test_page_without_figures_is_self_contained_and_gives_the_reason(found):
     comparison, out = found
     html = (out / "compare.html").read_text(encoding="utf-8")
-    for text in ("Side by side", "linear per contact", "linear of 0.1 m/s", "ratio", "pip install granflow[plot]"):
+    ratio = "linear\nof 0.1 m/s\nover linear\nper contact"
+    for text in ("Side by side", "linear per contact", "linear of 0.1 m/s", ratio, "pip install granflow[plot]"):
         assert text in html
     assert not re.findall(r'(?:src|href)="(?:http|//)', html)
     assert {path.name for path in out.glob("*.csv")} == {"compare.csv", "heights.csv", "forces.csv", "durations.csv"}

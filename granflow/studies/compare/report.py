@@ -21,6 +21,7 @@ from granflow.studies.compare.collisions import (
 from granflow.studies.compare.drawing import drawings, has_forces
 from granflow.studies.compare.paraview import SCRIPT, write_script
 from granflow.studies.compare.runs import BURSTS, SAMPLES, SAMPLES_PER_CONTACT, VariantRun, hertz_duration, run_all
+from granflow.studies.compare.soft_spring import soft_spring_note
 from granflow.studies.compare.spring_assessment import Assessment, assess
 from granflow.studies.compare.summary import SummaryRow, as_text, densest_stage, heads, summary, summary_columns
 from granflow.studies.compare.variants import reduced_counts, reference_velocity_of, variants_of
@@ -111,7 +112,7 @@ def write_all(found: SceneComparison, out: Path, report: Callable[[str], None] =
         tables=_tables(found),
         figures=drawings(runs, found.subject, found.collisions),
         found=found,
-        notes=[size_note(found), *stop_notes(found)],
+        notes=notes_on(found),
         stage_note=stage_note(found),
         stage=densest_stage(runs),
         has_forces=has_forces(runs),
@@ -153,6 +154,12 @@ def _tables(found: SceneComparison) -> dict[str, dict[str, np.ndarray]]:
         ),
     }  # fmt: skip
     return tables | ({"collisions.csv": found.collisions} if found.collisions else {})
+
+
+def notes_on(found: SceneComparison) -> list[str]:
+    """Sentences on the size of the runs, a spring that is too soft, and aborted and impossible runs."""
+    soft = soft_spring_note(found.runs, found.subject)
+    return [size_note(found), *filter(None, [soft]), *stop_notes(found)]
 
 
 def size_note(found: SceneComparison) -> str:

@@ -164,10 +164,11 @@ def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
     return [row for row in found if np.isfinite(row.values).any()]
 
 
-def heads(runs: Sequence[VariantRun]) -> list[str]:
-    """Column headings of the table; titles of several words use two lines."""
+def heads(runs: Sequence[VariantRun], is_short: bool = False) -> list[str]:
+    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact model only."""
     first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
-    return ["", "unit", first, *(head for title in others for head in (title, "ratio"))]
+    pairs = ((title, f"over\n{first}" if is_short else f"{title}\nover {first}") for title in others)
+    return ["", "unit", first, *(head for pair in pairs for head in pair)]
 
 
 def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
