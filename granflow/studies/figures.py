@@ -16,8 +16,11 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 POINTS = {"linestyle": "none", "markersize": 4.0, "markerfacecolor": "white", "markeredgewidth": 0.9}
 """Style of simulated points: open markers without a line."""
 
-WIDTH = 6.7
-"""Width of a figure [inch]: two journal columns."""
+WIDTH = 4.5
+"""Width of a figure [inch]: on a screen of 400 pixels, letters of 9 points then have a size of 10 pixels."""
+
+FULL_WIDTH = 6.7
+"""Width of a figure with many columns [inch]: two journal columns."""
 
 RESOLUTION = 300
 """Resolution of a figure [dots per inch]."""
@@ -51,10 +54,11 @@ STYLE: dict[str, Any] = {
 
 
 class Drawing(NamedTuple):
-    """Function that draws on an empty matplotlib figure, and the height of the figure [inch]."""
+    """Function that draws on an empty matplotlib figure, and height and width of the figure [inch]."""
 
     draw: Callable[[Any], None]
     height: float
+    width: float = WIDTH
 
 
 def require_plotting() -> None:
@@ -68,21 +72,26 @@ def require_plotting() -> None:
 def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
     """Write figures by file name; without matplotlib, write none and return the reason, otherwise ""."""
     try:
-        for name, (draw, height) in figures.items():
-            draw_to(out / name, draw, height)
+        for name, (draw, height, width) in figures.items():
+            draw_to(out / name, draw, height, width)
     except GranflowError as error:
         return str(error)
     return ""
 
 
-def draw_to(path: Path, draw: Callable[[Any], None], height: float) -> None:
-    """Write a PNG: call `draw` with an empty matplotlib figure of WIDTH by `height` [inch] in the common style.
+def draw_to(path: Path, draw: Callable[[Any], None], height: float, width: float = WIDTH) -> None:
+    """Write a PNG: call `draw` with an empty matplotlib figure of `width` by `height` [inch] in the common style.
 
     The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
     """
-    with styled_figure((WIDTH, height), layout="constrained") as figure:
+    with styled_figure((width, height), layout="constrained") as figure:
         draw(figure)
         figure.savefig(path, dpi=RESOLUTION)
+
+
+def stacked_panels(figure: Any, count: int, **shared: Any) -> Any:
+    """Axes (count,) of panels one below the other; `shared`: as `sharex` of matplotlib."""
+    return figure.subplots(count, 1, squeeze=False, **shared)[:, 0]
 
 
 @contextmanager

@@ -25,6 +25,10 @@ LONG_CELL = 60
 """Number of characters of a cell that needs the full width of a telephone."""
 
 
+SCREEN_WIDTH = 9.8
+"""Width on a large screen [rem] of an inch of a figure: letters of 9 points are as large as those of the text."""
+
+
 def write_study(
     path: Path, template: str, tables: Mapping[str, Mapping[str, np.ndarray]], figures: Mapping[str, Drawing],
     **content: Any,
@@ -38,7 +42,8 @@ def write_study(
     for name, columns in tables.items():
         write_columns(path.parent / name, columns)
     missing = write_figures(path.parent, figures)
-    write_page(path, template, folder=path.parent, figures=[] if missing else list(figures), missing=missing, **content)
+    shown = {} if missing else {name: SCREEN_WIDTH * drawing.width for name, drawing in figures.items()}
+    write_page(path, template, folder=path.parent, figures=shown, missing=missing, **content)
     return missing
 
 

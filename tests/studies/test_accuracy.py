@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from studies.legibility import smallest_letters
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PHASES, STUDIED_LAWS, VELOCITIES
 from granflow.studies.accuracy.exact import EXACT
+from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
 from granflow.studies.accuracy.orders import fitted_order
 from granflow.studies.accuracy.points import StudyLine, StudyPoint, measured_line
 from granflow.studies.accuracy.recommend import recommendation, requirement_of, table_heads, table_rows
 from granflow.studies.accuracy.report import TwoBodyStudy, write_two_bodies
+from granflow.studies.figures import Drawing
 
 FEW_STEPS = (20, 40, 80, 160, 320)
 K, MASS, SPEED = 4e5, 2e-4, 0.7
@@ -230,6 +233,14 @@ def test_page_contains_three_figures(lines, tmp_path):
     pytest.importorskip("matplotlib")
     write_two_bodies(tmp_path, TwoBodyStudy(tuple(lines), (), 0.01))
     assert (tmp_path / "accuracy.html").read_text(encoding="utf-8").count("data:image/png") == 3
+
+
+@pytest.mark.parametrize("draw", [draw_work, draw_convergence, lambda lines, _: draw_quantities(lines)])
+def test_figures_are_legible_on_a_narrow_screen(draw):
+    pytest.importorskip("matplotlib")
+    lines = [synthetic_line(law, precision, 7.0, 2e-7) for law in ("zhou", "hertz") for precision in ("f64", "f32")]
+    size, columns = smallest_letters(Drawing(draw(lines, 0.01), 5.0))
+    assert size > 9.0 and columns == 1
 
 
 @pytest.mark.parametrize(

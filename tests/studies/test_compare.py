@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scene_builders import SOFT, build_scene, particle_group, plane
+from studies.legibility import smallest_letters
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
@@ -193,6 +194,15 @@ def test_matplotlib_figures_are_written(found, tmp_path):
 
     assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
+
+
+def test_figures_are_legible_on_a_narrow_screen(found):
+    pytest.importorskip("matplotlib")
+    from granflow.studies.compare.drawing import drawings
+
+    for drawing in drawings(found[0].runs, None, {}).values():
+        size, columns = smallest_letters(drawing)
+        assert size > 9.0 and columns == 1
 
 
 def test_page_has_no_empty_distribution_of_forces(found):

@@ -50,7 +50,7 @@ class BalanceParser(HTMLParser):
 
 def page_with(folder, name="a.png", **content):
     (folder / name).write_bytes(TINY)
-    defaults = {"lead": "Lead.", "text": "Text <i>\u202e.", "content": TABLE, "figures": [name], "folder": folder}
+    defaults = {"lead": "Lead.", "text": "Text <i>\u202e.", "content": TABLE, "figures": {name: 44.1}, "folder": folder}
     return page_text(environment().from_string(TEMPLATE), **{"name": name} | defaults | content)
 
 
@@ -80,8 +80,12 @@ def test_page_refers_to_no_external_files(tmp_path):
 
 def test_figures_that_were_not_drawn_are_omitted(tmp_path):
     assert page_with(tmp_path).count("<img") == 2
-    html = page_with(tmp_path, figures=[])
+    html = page_with(tmp_path, figures={})
     assert html.count("<img") == 1 and "seen" not in html
+
+
+def test_figures_fill_narrow_screens_only(tmp_path):
+    assert page_with(tmp_path).count('style="max-width: 44.1rem"') == 1, "embedded images fill every screen"
 
 
 def test_caption_without_elements_is_the_alternative_text(tmp_path):
@@ -143,7 +147,12 @@ def test_study_files_are_written_to_a_new_directory(tmp_path):
     assert not write_study(out / "p.html", "stability.html", {"t.csv": {"x": np.array([0.1])}}, figures, **content)
     assert (out / "t.csv").read_text() == "x\n0.1\n"
     html = (out / "p.html").read_text(encoding="utf-8")
-    assert "data:image/png;base64," in html and "up to 1 %;" in html and "above 50 % without" in html
+    assert (
+        "max-width: 44.1rem" in html
+        and "data:image/png;base64," in html
+        and "up to 1 %;" in html
+        and "above 50 % without" in html
+    )
 
 
 @pytest.mark.parametrize(

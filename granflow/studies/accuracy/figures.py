@@ -7,7 +7,7 @@ import numpy as np
 
 from granflow.studies.accuracy.orders import fitted_order
 from granflow.studies.accuracy.points import QUANTITIES, QUANTITY_LABELS, StudyLine
-from granflow.studies.figures import COLORS, MARKERS
+from granflow.studies.figures import COLORS, MARKERS, stacked_panels
 
 LINE_STYLES = {"f64": ("-", "o"), "mixed": ("--", "s"), "f32": (":", "^")}
 """Line style and marker of each precision; contact models have colors."""
@@ -60,7 +60,7 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
     """
 
     def draw(figure: Any) -> None:
-        work, steps = figure.subplots(1, 2, sharey=True)
+        work, steps = stacked_panels(figure, 2, sharey=True)
         for line in sorted(lines, key=lambda line: _names(lines).index(line.law)):
             error = np.maximum(line.error("restitution"), LOWEST)
             _plot(work, line, lines, 1e6 * line.seconds(), error, label=_with_order(line))
@@ -69,9 +69,10 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
             _plot(steps, line, lines, 1.0 / line.steps, error)
         for axes in (work, steps):
             loglog(axes, target, ylim=(0.3 * LOWEST, HIGHEST))
-        work.set(xlabel="wall time per collision (µs)", ylabel="restitution error", title="(a) work and precision")
+            axes.set_ylabel("restitution error")
+        work.set(xlabel="wall time per collision (µs)", title="(a) work and precision")
         steps.set(xlabel="time step / duration of the collision", title="(b) convergence", xlim=(5e-5, 0.4))
-        figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=7.0)
+        figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
     return draw
 
@@ -98,17 +99,15 @@ def draw_quantities(lines: Sequence[StudyLine]) -> Callable[[Any], None]:
     exact = [line for line in lines if line.precision == "f64"] or list(lines)
 
     def draw(figure: Any) -> None:
-        panels = figure.subplots(2, 2, sharex=True, sharey=True)
-        for letter, axes, quantity in zip("abcd", panels.flat, QUANTITIES, strict=True):
+        panels = stacked_panels(figure, len(QUANTITIES), sharex=True, sharey=True)
+        for letter, axes, quantity in zip("abcd", panels, QUANTITIES, strict=True):
             for line in exact:
                 order = fitted_order(line.steps, line.error(quantity))
                 label = f"{_label(line)}: {order.order:.2f}" if order else _label(line)
                 _plot(axes, line, exact, 1.0 / line.steps, np.maximum(line.error(quantity), LOWEST), label=label)
             loglog(axes, ylim=(0.3 * LOWEST, HIGHEST), title=f"({letter}) {QUANTITY_LABELS[quantity]}")
-            axes.legend(loc="lower right", fontsize=7.0)
-        for axes in panels[1]:
-            axes.set_xlabel("time step / duration of the collision")
-        for axes in panels[:, 0]:
+            axes.legend(loc="lower right")
             axes.set_ylabel("relative error")
+        panels[-1].set_xlabel("time step / duration of the collision")
 
     return draw

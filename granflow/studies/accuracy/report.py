@@ -68,9 +68,9 @@ def write_two_bodies(out: Path, study: TwoBodyStudy) -> None:
         "accuracy.html",
         tables={"accuracy.csv": columns([point for line in lines for point in line.points])},
         figures={
-            "accuracy.png": Drawing(draw_work(lines, target), 3.9),
+            "accuracy.png": Drawing(draw_work(lines, target), 6.4),
             "accuracy_convergence.png": Drawing(draw_convergence(lines, target), 3.0),
-            "accuracy_quantities.png": Drawing(draw_quantities(lines), 5.6),
+            "accuracy_quantities.png": Drawing(draw_quantities(lines), 8.4),
         },
         study=study,
         axes=axes,

@@ -9,7 +9,7 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.studies.accuracy.figures import LINE_STYLES, loglog
 from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, ScenePoint, SceneStudy
-from granflow.studies.figures import COLORS, Drawing
+from granflow.studies.figures import COLORS, Drawing, stacked_panels
 from granflow.studies.page import write_study
 from granflow.studies.tables import PageTable, percent
 
@@ -108,7 +108,7 @@ def write_scene(out: Path, study: SceneStudy) -> None:
         out / "accuracy.html",
         "accuracy_scene.html",
         tables={"accuracy.csv": scene_columns(study)},
-        figures={"accuracy.png": Drawing(draw_scene(study), 3.9)},
+        figures={"accuracy.png": Drawing(draw_scene(study), 6.4)},
         study=study,
         recommendation=scene_recommendation(study),
         noise=noise_sentence(study),
@@ -124,18 +124,19 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
     def draw(figure: Any) -> None:
         from matplotlib.ticker import LogLocator
 
-        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        above, below = stacked_panels(figure, 2, sharex=True, sharey=True)
         for name, color in zip(("restitution", ENERGY_ERROR, *study.quantities), COLORS, strict=False):
             for precision in LINE_STYLES:
-                _draw_errors(right if name in study.quantities else left, study, name, precision, color)
-        loglog(left, study.target, title="(a) restitution and energy budget", ylabel="relative error")
-        loglog(right, study.target, title="(b) bed quantities and their noise")
-        for axes in (left, right):
-            axes.set_xlabel("wall time (s per simulated s); filled: adaptive time step")
+                _draw_errors(below if name in study.quantities else above, study, name, precision, color)
+        loglog(above, study.target, title="(a) restitution and energy budget")
+        loglog(below, study.target, title="(b) bed quantities and their noise")
+        below.set_xlabel("wall time (s per simulated s); filled: adaptive time step")
+        for axes in (above, below):
+            axes.set_ylabel("relative error")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
             axes.xaxis.set_major_formatter("{x:g}")
             axes.xaxis.set_minor_formatter("")
-            axes.legend(loc="best", fontsize=7.0)
+            axes.legend(loc="best")
 
     return draw
 

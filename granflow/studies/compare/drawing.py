@@ -9,7 +9,7 @@ from granflow.studies.compare.bed_statistics import FORCE_EDGES
 from granflow.studies.compare.collisions import CollisionSubject, floor_velocity
 from granflow.studies.compare.runs import VariantRun
 from granflow.studies.compare.summary import densest_stage
-from granflow.studies.figures import COLORS, MARKERS, Drawing
+from granflow.studies.figures import COLORS, MARKERS, Drawing, stacked_panels
 
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
 """Line styles by index of the run."""
@@ -32,12 +32,12 @@ def drawings(
     `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted.
     """
     figures = {
-        "course.png": Drawing(lambda figure: draw_course(figure, runs), 5.2),
-        "energies.png": Drawing(lambda figure: draw_energies(figure, runs), 2.0 + 2.1 * ((len(runs) - 1) // 2)),
-        "contacts.png": Drawing(lambda figure: draw_contacts(figure, runs), 3.1),
+        "course.png": Drawing(lambda figure: draw_course(figure, runs), 7.0),
+        "energies.png": Drawing(lambda figure: draw_energies(figure, runs), 0.8 + 1.6 * len(runs)),
+        "contacts.png": Drawing(lambda figure: draw_contacts(figure, runs), 0.6 + 2.4 * (1 + has_forces(runs))),
     }
     if subject is not None and collisions:
-        figures["collisions.png"] = Drawing(lambda figure: draw_collisions(figure, subject, collisions, runs), 5.4)
+        figures["collisions.png"] = Drawing(lambda figure: draw_collisions(figure, subject, collisions, runs), 8.0)
     return figures
 
 
@@ -49,7 +49,7 @@ def _style(number: int) -> dict[str, Any]:
 def _legend(figure: Any, axes: Any) -> None:
     """Shared legend of a figure, above the panels."""
     handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=5)
+    figure.legend(handles, names, loc="outside upper center", ncols=2)
 
 
 def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
@@ -57,7 +57,7 @@ def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
 
     A cross marks an aborted run. Without flow meters, the kinetic energy replaces the flow.
     """
-    panels = figure.subplots(2, 2, sharex=True).ravel()
+    panels = stacked_panels(figure, 4, sharex=True)
     meters = runs[0].meters
     for number, run in enumerate(runs):
         style, columns = _style(number), run.columns
@@ -71,26 +71,22 @@ def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
             panels[0].plot(columns["time"][-1], first[-1], marker="x", color=style["color"])
     panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
     panels[1].set_ylabel("height (mm): center, surface")
-    panels[2].set(ylabel="coordination number", xlabel="time (s)")
+    panels[2].set_ylabel("coordination number")
     panels[3].set(ylabel="mean overlap / radius (%)", xlabel="time (s)")
     _legend(figure, panels[0])
 
 
 def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
     """Draw stored and dissipated energies, one panel per contact model."""
-    panels = figure.subplots((len(runs) + 1) // 2, 2, sharex=True, sharey=True, squeeze=False)
-    for number, (axes, run) in enumerate(zip(panels.ravel(), runs, strict=False)):
+    panels = stacked_panels(figure, len(runs), sharex=True, sharey=True)
+    for number, (axes, run) in enumerate(zip(panels, runs, strict=True)):
         for kind, (label, names) in enumerate(ENERGIES.items()):
             total = sum(run.columns[name] for name in names)
             axes.plot(run.columns["time"], 1e3 * total, label=label, **_style(kind))
         axes.set_title(f"({'abcdefghij'[number]}) {run.variant.title}")
-    for axes in panels.ravel()[len(runs) :]:
-        axes.axis("off")
-    for axes in panels[:, 0]:
         axes.set_ylabel("energy (mJ)")
-    for axes in panels[-1]:
-        axes.set_xlabel("time (s)")
-    _legend(figure, panels[0, 0])
+    panels[-1].set_xlabel("time (s)")
+    _legend(figure, panels[0])
 
 
 def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
@@ -98,14 +94,14 @@ def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
 
     The forces are those of the densest stage; the duration is the last panel.
     """
-    panels = figure.subplots(1, 2 if has_forces(runs) else 1, squeeze=False)[0]
+    panels = stacked_panels(figure, 2 if has_forces(runs) else 1)
     if has_forces(runs):
         _draw_forces(panels[0], runs)
     for number, run in enumerate(runs):
         times, share = run.duration_survival
         steps = (1e6 * np.append(0.0, times), np.append(1.0, share))
         panels[-1].step(*steps, where="post", label=run.variant.title, **_style(number))
-    panels[-1].set(xlabel="contact duration (µs)", ylabel="share of new contacts that last longer", ylim=(0.0, 1.02))
+    panels[-1].set(xlabel="contact duration (µs)", ylabel="share of longer contacts", ylim=(0.0, 1.02))
     _legend(figure, panels[-1])
 
 
@@ -132,7 +128,7 @@ def draw_collisions(
 
     `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per contact.
     """
-    panels = figure.subplots(2, 2, sharex=True).ravel()
+    panels = stacked_panels(figure, 4, sharex=True)
     shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
     titles = {run.variant.key: run.variant.title for run in runs}
     for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
@@ -146,10 +142,10 @@ def draw_collisions(
         axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)
         axes.axvline(floor_velocity(subject), color="0.7", linestyle=":", linewidth=0.8)
         axes.set_title(f"({letter})")
-    panels[0].set(xscale="log", ylabel="contact duration, simulated / exact", yscale="log")
-    panels[1].set(ylabel="maximum overlap, simulated / exact", yscale="log")
-    panels[2].set(ylabel="restitution, simulated / target\nfine time step", xlabel="approach velocity (m/s)")
-    panels[3].set(ylabel="restitution, simulated / target\ntime step from reference", xlabel="approach velocity (m/s)")
+    panels[0].set(xscale="log", ylabel="contact duration,\nsimulated / exact", yscale="log")
+    panels[1].set(ylabel="maximum overlap,\nsimulated / exact", yscale="log")
+    panels[2].set(ylabel="restitution / target,\nfine time step")
+    panels[3].set(ylabel="restitution / target,\nreference time step", xlabel="approach velocity (m/s)")
     low, high = (f(a.get_ylim()[k] for a in panels[2:]) for k, f in enumerate((min, max)))
     for axes in panels[2:]:
         axes.set_ylim(low, high)

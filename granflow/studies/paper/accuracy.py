@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import COLORS, MARKERS, POINTS
+from granflow.studies.figures import COLORS, MARKERS, POINTS, stacked_panels
 from granflow.studies.head_on import Outcomes, collide_all
 from granflow.studies.paper.cases import STEPS_PER_CONTACT
 from granflow.studies.paper.figure_data import FigureData, relative_deviation
@@ -70,12 +70,12 @@ def accuracy_figure(outcomes: Outcomes, e: np.ndarray, steps: np.ndarray) -> Fig
         f"{STEPS_PER_CONTACT} steps. With 50 steps e = 0.05 is not reachable because of the bound on the unloading "
         "tangent."
     )
-    return FigureData("accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 3.0)
+    return FigureData("accuracy", "Accuracy by number of steps", caption, columns, deviations, draw_accuracy, 5.2)
 
 
 def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
     """Panels for e and T, with a line for each number of steps."""
-    panels = figure.subplots(1, 2)
+    panels = stacked_panels(figure, 2, sharex=True)
     shown = (("restitution_deviation", TARGET_RESTITUTION, "$e$"), ("duration_deviation", TARGET_DURATION, "$T$"))
     for letter, axes, (name, target, symbol) in zip("ab", panels, shown, strict=True):
         for steps, color, marker in zip(STEPS, COLORS, MARKERS, strict=False):
@@ -85,7 +85,7 @@ def draw_accuracy(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
                 label=f"{steps} steps", **(POINTS | {"linestyle": "-", "linewidth": 0.8}),
             )  # fmt: skip
         axes.axhline(100.0 * target, linestyle=":", color="0.4", linewidth=0.9)
-        axes.set(xlabel="restitution coefficient $e$", yscale="log", xlim=(0, 1.02))
-        axes.set(title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}")
+        axes.set(yscale="log", xlim=(0, 1.02), title=f"({letter}) {'restitution' if symbol == '$e$' else 'duration'}")
         axes.set_ylabel(f"largest deviation of {symbol} (%)")
+    panels[-1].set_xlabel("restitution coefficient $e$")
     panels[0].legend(loc="upper right")

@@ -9,7 +9,7 @@ import numpy as np
 from granflow import SceneError
 from granflow.contact.material import PairMaterial, shear_modulus_eff
 from granflow.contact.registry import models
-from granflow.studies.figures import COLORS, MARKERS
+from granflow.studies.figures import COLORS, MARKERS, stacked_panels
 from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all, head_on_bench
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase
 from granflow.studies.paper.figure_data import FigureData, relative_deviation
@@ -191,12 +191,12 @@ def comparison_figure(comparison: LawComparison, velocities: np.ndarray = VELOCI
         f"at {REFERENCE_VELOCITY:g} m/s (dotted)."
     )
     title = "Comparison of all contact models"
-    return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 5.8)
+    return FigureData("laws", title, caption, columns, tuple(deviations), draw_comparison, 8.6)
 
 
 def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
-    """Panels of restitution (top) and duration (bottom), with a column for each material."""
-    panels = figure.subplots(2, len(PAPER_CASES), sharex=True, sharey="row")
+    """Panels of restitution (above) and of duration (below), each with a panel for each material."""
+    panels = stacked_panels(figure, 2 * len(PAPER_CASES), sharex=True).reshape(2, -1)
     laws = list(dict.fromkeys(columns["law"].tolist()))
     for column, case in enumerate(PAPER_CASES):
         for number, law in enumerate(laws):
@@ -210,13 +210,12 @@ def draw_comparison(figure: Any, columns: Mapping[str, np.ndarray]) -> None:
             panels[1, column].plot(velocity, 1e6 * columns["duration_simulated"][mine], **style)
         for axes in panels[:, column]:
             axes.axvline(REFERENCE_VELOCITY, linestyle=":", color="0.5", linewidth=0.8)
-        letter = "ab"[column]
-        panels[0, column].set(xscale="log", title=f"({letter}) {case.title}")
-        panels[1, column].set(xlabel="approach velocity (m/s)", yscale="log")
-    panels[0, 0].set_ylabel("restitution coefficient $e$")
-    panels[0, 0].set_ylim(top=1.02)
-    panels[1, 0].set_ylabel(r"collision duration $T$ (µs)")
-    panels[1, 0].set_yticks([50, 100, 200], ["50", "100", "200"])
-    panels[1, 0].set_yticks([40, 60, 70, 80, 90], [], minor=True)
+        above, below = panels[:, column]
+        above.set(xscale="log", title=f"({'ab'[column]}) {case.title}", ylabel="restitution coefficient $e$")
+        above.set_ylim(top=1.02)
+        below.set(yscale="log", title=f"({'cd'[column]}) {case.title}", ylabel=r"collision duration $T$ (µs)")
+        below.set_yticks([50, 100, 200], ["50", "100", "200"])
+        below.set_yticks([40, 60, 70, 80, 90], [], minor=True)
+    panels[1, -1].set_xlabel("approach velocity (m/s)")
     handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=4)
+    figure.legend(handles, names, loc="outside upper center", ncols=3)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import COLORS, POINTS
+from granflow.studies.figures import COLORS, POINTS, stacked_panels
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
 from granflow.studies.paper.oblique import ImpactSweep, plotted_quantities, published, slides, sliding_solution
 
@@ -24,7 +24,7 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
         caption=(
             "Spheres of aluminum oxide of 5 mm at 3.9 m/s on glass (solid lines; measured: circles) and on a rigid "
             "plate (dashed; Chung & Ooi's test 4: crosses): tangential restitution, spin, rebound angle of the contact "
-            "patch. Bottom: tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
+            "patch. (d) to (f): tests 5 (steel, 20 µm), 6 and 8 (spinning spheres of aluminum alloy). If the contact "
             "sticks temporarily, the published curve of test 5 corresponds to half the tangential stiffness (a plate "
             "rigid along its normal only), and those of tests 6 and 8 to a tangential dashpot, tension at the end of "
             "the contact, and a friction limit without the viscous part of the normal force."
@@ -32,7 +32,7 @@ def oblique_figure(run: Mapping[str, ImpactSweep]) -> FigureData:
         columns=_columns(run),
         deviations=_deviations(run),
         draw=lambda figure, _: _draw(figure, run),
-        height=5.0,
+        height=13.0,
     )
 
 
@@ -94,11 +94,11 @@ def _sliding_deviations(name: str, sweep: ImpactSweep) -> list[FigureDeviation]:
 
 
 def _draw(figure: Any, run: Mapping[str, ImpactSweep]) -> None:
-    panels = figure.subplots(2, 3)
-    _draw_angles(panels[0], run)
-    _draw_test_5(panels[1, :2], run)
-    _draw_test_6(panels[1, 2], run)
-    for letter, panel in zip("abcdef", panels.flat, strict=True):
+    panels = stacked_panels(figure, 6)
+    _draw_angles(panels[:3], run)
+    _draw_test_5(panels[3:5], run)
+    _draw_test_6(panels[5], run)
+    for letter, panel in zip("abcdef", panels, strict=True):
         panel.set_title(f"({letter})")
 
 
@@ -120,7 +120,7 @@ def _draw_angles(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
         panel.plot(*curves[f"test4_{quantity}"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, rigid")
         panel.plot(*measured[quantity].T, marker="o", color="black", label="measured, glass", **POINTS)
         panel.set(xlabel="impact angle [deg]", ylabel=label, xlim=(0.0, 90.0))
-    panels[2].legend(loc="upper left", fontsize=6.0)
+    panels[2].legend(loc="upper left")
 
 
 def _draw_test_5(panels: Any, run: Mapping[str, ImpactSweep]) -> None:
@@ -148,4 +148,4 @@ def _draw_test_6(panel: Any, run: Mapping[str, ImpactSweep]) -> None:
     panel.plot(*curves["test6_slip"].T, "x", color="0.45", ms=3.5, label="Chung & Ooi, 6")
     panel.plot(*curves["test8_slip"].T, "+", color="0.45", ms=3.5, label="Chung & Ooi, 8")
     panel.set(xlabel=r"$3.5\,\mu(1+e)V_n/V_s$", ylabel=r"tests 6 and 8: $-V_s'/V_s$")
-    panel.legend(loc="lower right", fontsize=6.5)
+    panel.legend(loc="upper left")

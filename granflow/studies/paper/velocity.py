@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import COLORS, MARKERS, POINTS
+from granflow.studies.figures import COLORS, MARKERS, POINTS, stacked_panels
 from granflow.studies.head_on import Outcomes, collide_all
 from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT, PaperCase, small_soft_case
 from granflow.studies.paper.figure_data import FigureData, FigureDeviation, relative_deviation
@@ -104,13 +104,13 @@ def restitution_figure(columns: Columns) -> FigureData:
     deviation = _compared(columns, "restitution", "simulated e from Eq. 12", TARGET_RESTITUTION)
     title = "Fig. 3: restitution coefficient against velocity"
     return FigureData(
-        "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 3.0
+        "figure3_restitution", title, caption, _chosen(columns, *names), (deviation,), draw_restitution, 5.2
     )
 
 
 def draw_restitution(figure: Any, columns: Columns) -> None:
     """Draw one panel per material."""
-    panels = figure.subplots(1, len(PAPER_CASES), sharey=True)
+    panels = stacked_panels(figure, len(PAPER_CASES), sharex=True, sharey=True)
     for letter, case, axes in zip("abcd", PAPER_CASES, panels, strict=False):
         mine = columns["material"] == case.name
         v = columns["velocity"][mine]
@@ -119,8 +119,9 @@ def draw_restitution(figure: Any, columns: Columns) -> None:
         thornton = thornton_restitution(fine, case.yield_velocity or np.inf)
         axes.plot(fine, thornton, "--", color=COLORS[1], label="Thornton (1997)")
         axes.plot(v, columns["restitution_simulated"][mine], "o", color=COLORS[6], label="simulated", **POINTS)
-        axes.set(xscale="log", xlabel="approach velocity (m/s)", ylim=(0, 1.04), title=f"({letter}) {case.title}")
-    panels[0].set_ylabel("restitution coefficient $e$")
+        axes.set(xscale="log", ylim=(0, 1.04), title=f"({letter}) {case.title}")
+        axes.set_ylabel("restitution coefficient $e$")
+    panels[-1].set_xlabel("approach velocity (m/s)")
     panels[0].legend(loc="lower left")
 
 
@@ -195,23 +196,23 @@ def spring_figure(columns: Columns, estimate: Outcomes) -> FigureData:
             lambda index: f"{ESTIMATE_VELOCITIES[index]:.3g} m/s",
         ),
     )
-    return FigureData("equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 3.0)
+    return FigureData("equation19_spring", "Eq. 19: equivalent spring", caption, combined, deviations, draw_spring, 5.2)
 
 
 def draw_spring(figure: Any, columns: Columns) -> None:
     """Draw one panel of the steels and one of the estimate."""
-    left, right = figure.subplots(1, 2)
+    above, below = stacked_panels(figure, 2)
     for case, color, marker in zip((*PAPER_CASES, small_soft_case()), COLORS, MARKERS, strict=False):
-        axes = left if case in PAPER_CASES else right
+        axes = above if case in PAPER_CASES else below
         mine = columns["material"] == case.name
         v = columns["velocity"][mine]
         fine = np.geomspace(v.min(), v.max(), 100)
         axes.plot(fine, case.springs(fine), color=color)
         size = POINTS | {"markersize": 6.5 if marker == "o" else 3.5}  # the two steels coincide
         axes.plot(v, columns["spring_simulated"][mine], marker, color=color, label=case.title, **size)
-    right.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
-    right.set_ylim(1e2, 1e4)
-    for axes, title in ((left, "(a) spheres of 25.4 mm"), (right, "(b) estimate of the paper")):
+    below.axhline(1e3, linestyle="--", color="0.5", linewidth=0.8)
+    below.set_ylim(1e2, 1e4)
+    for axes, title in ((above, "(a) spheres of 25.4 mm"), (below, "(b) estimate of the paper")):
         axes.set(xscale="log", yscale="log", xlabel="approach velocity (m/s)", title=title)
+        axes.set_ylabel(r"equivalent spring $\alpha$ (N/m)")
         axes.legend(loc="upper left")
-    left.set_ylabel(r"equivalent spring $\alpha$ (N/m)")

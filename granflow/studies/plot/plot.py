@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
-from granflow.studies.figures import COLORS, draw_to
+from granflow.studies.figures import COLORS, FULL_WIDTH, draw_to, stacked_panels
 from granflow.studies.page import write_page
 from granflow.studies.plot.curves import Panel
 from granflow.studies.report.plots import DASHES, Plot, curve_layout, library, plain
@@ -45,13 +45,12 @@ def write_plot(path: Path, panels: Sequence[Panel], logarithmic: str, title: str
     if path.suffix == ".html":
         _write_page(path, panels, logarithmic, title)
     else:
-        draw_to(path, lambda figure: _draw(figure, panels, logarithmic), PANEL_HEIGHT * len(panels))
+        draw_to(path, lambda figure: _draw(figure, panels, logarithmic), PANEL_HEIGHT * len(panels), FULL_WIDTH)
 
 
 def _draw(figure: Any, panels: Sequence[Panel], logarithmic: str) -> None:
     """Draw the panels on an empty matplotlib figure."""
-    rows = figure.subplots(len(panels), squeeze=False, sharex=True)[:, 0]
-    for panel, axes in zip(panels, rows, strict=True):
+    for panel, axes in zip(panels, stacked_panels(figure, len(panels), sharex=True), strict=True):
         for number, curve in enumerate(panel.curves):
             look = {"color": COLORS[number % len(COLORS)], "linestyle": LINE_STYLES[number // len(COLORS)]}
             point = {"marker": "o", "markersize": 3.0} if len(curve.x) == 1 else {}

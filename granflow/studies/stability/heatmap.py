@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.studies.figures import Drawing
+from granflow.studies.figures import FULL_WIDTH, Drawing
 from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL
 from granflow.studies.stability.cases import CaseOutcome
 from granflow.studies.tables import percent
@@ -41,7 +41,7 @@ TITLES = {
 
 def heatmap(outcomes: Sequence[CaseOutcome]) -> Drawing:
     """Drawing of all families."""
-    return Drawing(lambda figure: _draw(figure, outcomes), 8.6)
+    return Drawing(lambda figure: _draw(figure, outcomes), 8.6, FULL_WIDTH)
 
 
 def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:
