@@ -1,4 +1,4 @@
-"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets that are too small."""
+"""Forecasts of probable mistakes: wrong units, output intervals that hide a vibration, inlets and regions of rain."""
 
 import numpy as np
 import pytest
@@ -97,13 +97,21 @@ def test_planned_velocity_far_below_that_of_a_fall_is_reported(tmp_path, velocit
 def inlet_scene(tmp_path, radius):
     """Particles of 4 mm enter through a disc with 0.3 m/s downward, 1200 per second."""
     face = f"{{disc: {{center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -1], radius: {radius} mm}}}}"
-    inlet = f"{{kind: inlet, rate: 1200 1/s, face: {face}}}"
-    jet = f"{{material: glass, count: 300, diameter: 4 mm, velocity: [0, 0, -0.3 m/s], insert: {inlet}}}"
-    return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3")
+    return flow_scene(tmp_path, f"{{kind: inlet, rate: 1200 1/s, face: {face}}}")
+
+
+def flow_scene(tmp_path, insertion, *overrides, count=300, velocity="-0.3 m/s"):
+    """A scene with an insertion of particles of 4 mm."""
+    jet = f"{{material: glass, count: {count}, diameter: 4 mm, velocity: [0, 0, {velocity}], insert: {insertion}}}"
+    return scene_of(tmp_path, f"particles.jet={jet}", "run.duration=0.3", *overrides)
+
+
+BOX = "{box: {min: [0, 0, 1 cm], max: [%s mm, %s mm, 2 cm]}}"
+DISC = "{cylinder: {from: [1 cm, 1 cm, 2 cm], to: [1 cm, 1 cm, 1 cm], radius: %s mm}}"
 
 
 def rate_through(scene):
-    """Particles per second that the inserter of a scene inserts if they fall freely away from the face."""
+    """Particles per second that the inserter of a scene inserts if they fall freely."""
     inserter = Inserter(groups_of(scene)["jet"])
     start, entered = np.zeros((0, 3)), np.zeros(0)
     while (time := inserter.next_time) < 0.25:
@@ -128,3 +136,36 @@ def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_t
         assert reached < limit < min(1200.0, 3.0 * reached)
     else:
         assert reached == pytest.approx(1200.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("region", "is_too_small"),
+    [(BOX % (6, 6), True), (BOX % (10, 10), True), (BOX % (20, 20), False), (DISC % 4, True), (DISC % 10, False)],
+)
+def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, region, is_too_small):
+    """The forecast is an upper bound of the rate of the inserter, at most four times as large."""
+    scene = flow_scene(tmp_path, f"{{kind: rain, rate: 1200 1/s, region: {region}}}")
+    found = [each for each in warnings_of(scene) if "are queued" in each]
+    assert len(found) == is_too_small
+    reached = rate_through(scene)
+    if is_too_small:
+        limit = float(found[0].split("at most about ")[1].split(" leave the region")[0])
+        assert reached < limit < min(1200.0, 4.0 * reached)
+        assert "Enlarge the region, raise particles.jet.velocity, or lower the rate." in found[0]
+    else:
+        assert reached == pytest.approx(1200.0, rel=0.05)
+
+
+@pytest.mark.parametrize(("count", "gravity", "is_reported"), [(60, 0, True), (20, 0, False), (60, "-9.81", False)])
+def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, is_reported):
+    """4 cm3 hold at most 0.45 * 4 cm3 / 33.5 mm3 = 54 particles; 60 per second is a low rate with gravity."""
+    rain = f"{{kind: rain, rate: 60 1/s, region: {BOX % (20, 20)}}}"
+    scene = flow_scene(tmp_path, rain, f"gravity=[0, 0, {gravity}]", count=count, velocity=0)
+    found = [each for each in warnings_of(scene) if "are queued" in each]
+    assert len(found) == is_reported
+    assert all("60 particles are required, but the region holds at most about 54" in each for each in found)
+
+
+def test_rain_of_few_particles_fits_into_its_region_at_once(tmp_path):
+    rain = f"{{kind: rain, rate: 1e5 1/s, region: {BOX % (20, 20)}}}"
+    assert not [each for each in warnings_of(flow_scene(tmp_path, rain, count=20)) if "are queued" in each]

@@ -6,7 +6,7 @@ from granflow.load import Scene
 from granflow.plan.forecast.drop import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
-from granflow.plan.forecast.insertion import inlet_warnings, insertion_warnings
+from granflow.plan.forecast.insertion import flow_warnings, insertion_warnings
 from granflow.plan.forecast.intervals import interval_warnings, vibration_forecasts
 from granflow.plan.forecast.overlaps import impact_forecast, static_forecasts
 from granflow.plan.forecast.pairs import touching_pairs
@@ -41,7 +41,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),
-        *inlet_warnings(scene, plan),
+        *flow_warnings(scene, plan),
         *interval_warnings(scene, times),
         *unit_warnings(scene),
         *velocity_warnings(scene, plan),

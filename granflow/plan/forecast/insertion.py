@@ -1,4 +1,4 @@
-"""Forecasts of insertions that the run is too short for, and of inlets that are too small for their rate."""
+"""Forecasts of insertions that the run is too short for, and of inlets and regions too small for their rate."""
 
 from collections.abc import Iterator
 from math import ceil, pi, sqrt
@@ -7,7 +7,7 @@ import numpy as np
 
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
-from granflow.particles.regions import CylinderSampler, SlabSampler
+from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
 from granflow.plan.forecast.pressures import mean_volume
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import outer_diameter_range
@@ -47,46 +47,80 @@ def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[
             )
 
 
-def inlet_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
-    """A sentence for each inlet through which fewer particles than required can flow."""
+def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can flow."""
     for name, group in scene.particles.items():
         insertion = group.insert
-        if not isinstance(insertion, InletInsertion):
+        if not isinstance(insertion, RainInsertion | InletInsertion):
             continue
-        required = 1.0 / _interval(plan, group, insertion)
-        largest = _largest_rate(scene, group, insertion, 1.0 / required)
-        if required > largest > 0.0:
-            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+        interval = _interval(plan, group, insertion)
+        largest, held = _largest_flow(scene, group, insertion, interval)
+        key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+        if isinstance(insertion, InletInsertion):
+            is_small, place, also = True, "face", ""
+        else:
+            is_small, place = group.count * (1.0 - interval * largest) > held, "region"
+            also = f", which holds {held:.2g}"
+        if is_small and 1.0 / interval > largest > 0.0:
             yield (
-                f"{key}: {required:.3g} particles per second are required, but at most about {largest:.2g} leave the "
-                "face in a second; the others are queued. Enlarge the face, raise particles."
-                f"{name}.velocity, or lower the {'rate' if insertion.rate else 'mass_flow'}."
+                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about {largest:.2g} leave "
+                f"the {place} in a second{also}; the others are queued. Enlarge the {place}, raise particles.{name}"
+                f".velocity, or lower the {'rate' if insertion.rate else 'mass_flow'}."
+            )
+        elif is_small and not largest and place == "region" and _stays(plan, group):
+            yield (
+                f"{key}: {group.count} particles are required, but the region holds at most about {held:.2g}, and "
+                f"neither gravity nor particles.{name}.velocity moves them out; the others are queued. Enlarge the "
+                "region, or lower the count."
             )
 
 
-def _largest_rate(scene: Scene, group: Group, insertion: InletInsertion, interval: float) -> float:
-    """Upper bound of the number of particles per second that leave the region behind the face of an inlet.
+def _stays(plan: Plan, group: Group) -> bool:
+    """Whether neither walls nor a granular temperature move new particles without gravity and velocity."""
+    return group.thermal is None and not any(wall.motions for wall in plan.walls)
+
+
+def _largest_flow(
+    scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
+) -> tuple[float, float]:
+    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the region.
 
         rate = phi (A v_n + W h v_t) / V,     v_n^2 = v0_n^2 + 2 g_n h,     v_t^2 = v0_t^2 + 2 g_t W
 
-    A, W: area and width of the face; h: depth of the region; n, t: along the normal of the face and across it; phi:
-    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. 0 if particles neither start
-    with a velocity nor fall: walls can carry them away. `interval` [s]: mean time between particles.
+    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it; phi:
+    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave an inlet along
+    the normal only, the region of rain at both ends. 0 if particles neither start with a velocity nor fall: walls can
+    carry them away. `interval` [s]: mean time between particles.
     """
     velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
     gathered = ceil(group.count / MAX_BATCHES) * interval
     region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
-    if isinstance(region, CylinderSampler):
-        normal, depth, area, width = region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
-    else:
-        assert isinstance(region, SlabSampler)
-        first, second, depth = region.box.high
-        normal, area, width = region.frame[2], first * second, float(np.hypot(first, second))
-    along = sqrt(max(velocity @ normal, 0.0) ** 2 + 2.0 * max(gravity @ normal, 0.0) * depth)
+    normal, depth, area, width = _face(region, gravity if gravity.any() else velocity)
+    ends = (velocity @ normal, gravity @ normal)
+    initial, falling = map(abs, ends) if isinstance(insertion, RainInsertion) else (max(each, 0.0) for each in ends)
+    along = sqrt(initial**2 + 2.0 * falling * depth)
     slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
     volume = mean_volume(group) if group.clump is None else pi / 6.0 * outer_diameter_range(group)[1] ** 3
-    return DENSEST_FLOW * float(area * along + width * depth * across) / volume
+    flow, held = area * along + width * depth * across, region.volume
+    return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * held / volume
+
+
+def _face(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, float, float, float]:
+    """Normal (3,), depth [m] behind it, area [m2] and width [m] of a face of a region.
+
+    Of a box with edges along the coordinate axes, the face that `direction` (3,) crosses most steeply.
+    """
+    if isinstance(region, CylinderSampler):
+        return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
+    if isinstance(region, SlabSampler):
+        axis, normal, size = 2, region.frame[2], region.box.high
+    else:
+        assert isinstance(region, BoxSampler)
+        axis, size = int(np.argmax(np.abs(direction))), region.high - region.low
+        normal = np.eye(3)[axis]
+    sides = np.delete(size, axis)
+    return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
 
 
 def _interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertion) -> float:
