@@ -50,6 +50,7 @@ STUDIES_IMPORT = {
     "granflow.contact.theory",
     "granflow.errors",
     "granflow.fields",
+    "granflow.geometry.sphere",
     "granflow.scene.suggest",
     "granflow.scene.validated_file",
     "granflow.visible_text",

@@ -1,11 +1,10 @@
 """Arrays of inserted particles."""
 
-from math import pi
-
 import numpy as np
 
 from granflow.engine.clump_arrays import Arrays, angular_momentum, arms
 from granflow.geometry.quaternion import product
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.plan import Plan
 
@@ -25,7 +24,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
         "material": material[new.material],
         "fixed": fixed[new.group].astype(np.int32),
         "radius": new.radius,
-        "mass": 4.0 / 3.0 * pi * new.radius**3 * density[new.material],
+        "mass": sphere_mass(new.radius, density[new.material]),
         "position": new.position,
         "position_at_rebuild": new.position,
         "velocity": new.velocity,
@@ -39,7 +38,7 @@ def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
 def _films(plan: Plan, new: ParticleData) -> np.ndarray:
     """Volumes (k,) [m3] of the films of new particles, whole units."""
     content = np.array([group.liquid_content for group in plan.groups])
-    volume = content[new.group] * (4.0 / 3.0 * pi * new.radius**3)
+    volume = content[new.group] * sphere_volume(new.radius)
     films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
     return films
 

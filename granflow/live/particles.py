@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from granflow.engine.changes import present_indices, remove_particles, write_particles
 from granflow.engine.engine import Engine
 from granflow.errors import GranflowError
+from granflow.geometry.sphere import sphere_mass
 from granflow.live.new_particles import particle_data, refuse_other_arguments, refuse_without_pair
 from granflow.live.particle_array import ParticleArray
 from granflow.live.values import finite, in_domain, named
@@ -264,7 +264,7 @@ class LiveParticles:
             )
         density = np.array([solid.density for solid in plan.solids.values()])[self._numbers("material")]
         radius = 0.5 * values
-        self._write("radius", radius, mass=4.0 / 3.0 * pi * radius**3 * density)
+        self._write("radius", radius, mass=sphere_mass(radius, density))
 
     def _write_group(self, values: np.ndarray) -> None:
         """Change the groups in the accounting; forces do not depend on them."""

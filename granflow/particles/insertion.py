@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import SceneError
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.particles.close_pairs import overlaps_any
 from granflow.particles.group import SceneGroup, groups_of
 from granflow.particles.packing import RegionFullError, Spheres, check_width
@@ -66,7 +67,7 @@ class Inserter:
             raise ValueError(f"{group.name} has neither insert: {{kind: rain}} nor insert: {{kind: inlet}}.")
         self.start = insertion.start
         self.radius = ordered_diameters(spec.sizes, spec.count, group.random()) / 2
-        self.mass = 4.0 / 3.0 * np.pi * self.radius**3 * group.density
+        self.mass = sphere_mass(self.radius, group.density)
         if group.particle_mass is not None:
             self.mass = np.full(spec.count, group.particle_mass)
         self.due_at = self.start + _delays(insertion, self.mass)
@@ -187,7 +188,7 @@ def batch_size(radius: np.ndarray, volume: float) -> int:
     `radius` (count,) [m]: of all particles of the group; `volume` V [m3] of the region. The second limit keeps the
     region dilute, so that free positions are found.
     """
-    mean_volume = float(np.mean(4 / 3 * np.pi * radius**3))
+    mean_volume = float(np.mean(sphere_volume(radius)))
     capacity = int(BATCH_FRACTION * volume / mean_volume)
     return max(1, min(math.ceil(len(radius) / MAX_BATCHES), capacity))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
 from granflow.particles.close_pairs import near_pairs, overlaps_any
 from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler
 
@@ -126,7 +127,7 @@ def pack_at_random(
     """
     check_width(region, radius.max())
     obstacles = existing.near(region)
-    solid_fraction = np.sum(4 / 3 * np.pi * radius**3) / region.volume
+    solid_fraction = np.sum(sphere_volume(radius)) / region.volume
     if solid_fraction > MAX_PACKING_FRACTION:
         estimate = len(radius) * MAX_PACKING_FRACTION / solid_fraction
         raise RegionFullError(f"about {float(f'{estimate:.2g}'):.0f} fit", packing_remedy(solid_fraction))

@@ -7,6 +7,7 @@ from math import ceil
 from typing import NamedTuple
 
 from granflow.geometry.motion_table import TableRotation, TableTranslation
+from granflow.geometry.sphere import sphere_mass
 from granflow.plan.features import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
@@ -111,7 +112,7 @@ def _bond_number_rows(plan: Plan) -> Iterator[ExplainRow]:
     law, gravity = plan.laws.cohesion, math.hypot(*plan.gravity)
     forces = [(law.pull_off_force(each.pair, each.radius_eff), each) for each in plan.pair_cases] if law else []
     numbers = [
-        (force / (each.solid.density * 4.0 / 3.0 * math.pi * each.radius**3 * gravity), force, each.name)
+        (force / (sphere_mass(each.radius, each.solid.density) * gravity), force, each.name)
         for force, each in forces
         if force and gravity
     ]

@@ -1,9 +1,10 @@
 """Liquid films: unit of the volumes, and what a model that transfers liquid does not support."""
 
 from collections.abc import Sequence
-from math import ceil, log2, pi
+from math import ceil, log2
 
 from granflow.errors import SceneError
+from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.plan.scene_parts import PlannedGroup
 
@@ -17,7 +18,7 @@ def liquid_unit(groups: Sequence[PlannedGroup]) -> float:
 
     The liquid of all groups, with the largest diameters, over 2^LIQUID_BITS; 1 without liquid.
     """
-    total = sum(group.count * group.liquid_content * pi / 6.0 * group.diameters[1] ** 3 for group in groups)
+    total = sum(group.count * group.liquid_content * sphere_volume(0.5 * group.diameters[1]) for group in groups)
     return 2.0 ** (ceil(log2(total)) - LIQUID_BITS) if total > 0.0 else 1.0
 
 

@@ -21,6 +21,7 @@ from granflow.contact.material import (
 )
 from granflow.contact.model import SLOTS, ContactModel
 from granflow.errors import SceneError
+from granflow.geometry.sphere import sphere_mass
 from granflow.load import Scene
 from granflow.plan.scene_parts import PlannedGroup
 from granflow.plan.time_step import PairCase
@@ -222,8 +223,3 @@ def _mass_ratio(group: PlannedGroup | None) -> float:
     if group is None or group.clump is None:
         return 1.0
     return group.clump.volume / sphere_mass(0.5 * group.diameters[0], 1.0)
-
-
-def sphere_mass(radius: float, density: float) -> float:
-    """Mass 4/3 pi R^3 rho [kg] of a sphere with radius [m] and density [kg/m3]."""
-    return 4.0 / 3.0 * np.pi * radius**3 * density

@@ -10,6 +10,7 @@ from granflow.contact.normal_law import NormalLaw
 from granflow.geometry.catalog import area_of
 from granflow.geometry.mesh.grid import MeshGrid, grid_over
 from granflow.geometry.mesh.mesh import Mesh
+from granflow.geometry.sphere import sphere_mass
 from granflow.plan.capacities import (
     MIN_BATCH,
     MIN_CELLS,
@@ -30,7 +31,6 @@ from granflow.plan.capacities import (
 )
 from granflow.plan.decisions import Decisions
 from granflow.plan.liquid import liquid_unit
-from granflow.plan.pair_cases import sphere_mass
 from granflow.plan.resolution import coordinate_limit
 from granflow.plan.sum_units import SumUnits, sum_units
 from granflow.plan.time_step import PairCase, shortest_phase, stable_step

@@ -1,9 +1,8 @@
 """Checks the clumps of a checkpoint: complete bodies with the spheres, masses and moments of inertia of the scene."""
 
-from math import pi
-
 import numpy as np
 
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.checkpoint_parts import Part
 from granflow.plan.plan import Plan
 
@@ -38,7 +37,7 @@ def _check_shapes(
 ) -> np.ndarray:
     """Check masses, moments and spheres of the clumps; returns the masses (n,) [kg] of all spheres."""
     count, radius = len(group), particles["radius"].floats(len(group)).astype(float)
-    mass, inertia, offset = 4.0 / 3.0 * pi * radius**3 * density, np.zeros((count, 3)), np.zeros((count, 3))
+    mass, inertia, offset = sphere_mass(radius, density), np.zeros((count, 3)), np.zeros((count, 3))
     of_body = mass.copy()
     for number, shape in enumerate(each.clump for each in plan.groups):
         rows = group == number

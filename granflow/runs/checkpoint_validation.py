@@ -1,12 +1,12 @@
 """Checks a checkpoint against the plan of the run before it is copied to the device; see `checkpoint_parts`."""
 
 from collections.abc import Collection, Mapping
-from math import pi
 
 import numpy as np
 
 from granflow.engine.accounting import BY_ID, BY_NAME, EXIT_FACES, SAVED_NUMBERS
 from granflow.engine.checkpoint import CLOCKS
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, Part
 from granflow.load import Scene
@@ -224,7 +224,7 @@ def check_particles(
     radius = particles["radius"].floats(count, low=sizes[0], high=sizes[1]).astype(float)
     number = accounting["material"].integers(inserted, high=len(density_by_name) - 1)[ids]
     density = np.array([*density_by_name.values()])[number]
-    mass = 4.0 / 3.0 * pi * radius**3 * density
+    mass = sphere_mass(radius, density)
     if "clump" in arrays:
         group = accounting["group"].integers(inserted, high=len(plan.groups) - 1)[ids]
         mass = check_clumps(particles, ids.astype(np.int64), group, density, plan)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.frame_reader import read_mesh, require_directory
 from granflow.io.lock import locked
 from granflow.io.log_reader import LogEntry, read_log
@@ -220,7 +221,7 @@ class Run:
         if "radius" in arrays and "material" in arrays and not self.scene_problem:
             density = np.array([material.density for material in self.scene.materials.values()])
             arrays["radius"] = arrays["radius"].astype(np.float64)
-            arrays["mass"] = 4.0 / 3.0 * np.pi * arrays["radius"] ** 3 * density[arrays["material"]]
+            arrays["mass"] = sphere_mass(arrays["radius"], density[arrays["material"]])
         return Snapshot(time, 0, self._stage_at(time), arrays, None, {}, {})
 
     def _stage_at(self, time: float) -> str:

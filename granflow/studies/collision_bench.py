@@ -16,6 +16,7 @@ import numpy as np
 from granflow import ParticleData, Plan, Scene, plan_for
 from granflow.contact.material import PairMaterial
 from granflow.contact.registry import models
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.schema.run import LARGEST_OVERLAP
 
 if TYPE_CHECKING:
@@ -75,11 +76,6 @@ class Collision:
         other = sphere_mass(self.other_radius, scene.materials[self.second].density)
         radius_eff = self.radius * self.other_radius / (self.radius + self.other_radius)
         return radius_eff, mass * other / (mass + other)
-
-
-def sphere_mass(radius: float, density: float) -> float:
-    """Mass [kg] of a sphere from radius [m] and density [kg/m3]."""
-    return float(4.0 / 3.0 * np.pi * radius**3 * density)
 
 
 class CollisionBench:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
 from granflow.observers.coarse_graining.field_grid import CoarseGrid
 from granflow.observers.coarse_graining.kernel import GaussianKernel
 from granflow.observers.particle_selection import mobile_particles
@@ -109,7 +110,7 @@ def _accumulate_particles(
     particles = mobile_particles(particles)
     mass, velocity = (particles[name].astype(float) for name in ("mass", "velocity"))
     momentum = mass[:, None] * velocity
-    volume = 4.0 / 3.0 * np.pi * particles["radius"].astype(float) ** 3
+    volume = sphere_volume(particles["radius"].astype(float))
     each = [mass, volume, np.ones_like(mass), particles["coordination_number"], momentum, _dyads(momentum, velocity)]
     values = np.column_stack(each)
     return _split(PARTICLE_FIELDS, grid.deposit(kernel, particles["position"].astype(float), values) / grid.cell_volume)

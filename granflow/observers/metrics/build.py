@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
 from granflow.observers.base import CONTACTS, PARTICLES
 from granflow.observers.coarse_graining.field_grid import CoarseGrid, grid_for
 from granflow.observers.metrics.meter import MetricMeter
@@ -105,7 +106,7 @@ def _segregation_meter(plan: Plan, spec: SegregationMetric) -> MetricMeter:
 
     def measure(snapshot: Snapshot) -> dict[str, float]:
         particles = mobile_particles(snapshot.particles)
-        volume = 4.0 / 3.0 * np.pi * particles["radius"].astype(float) ** 3
+        volume = sphere_volume(particles["radius"].astype(float))
         arguments = particles["position"], volume, is_kind_a(particles), grid
         return {
             "segregation_intensity": segregation_intensity(*arguments),
@@ -189,7 +190,7 @@ def _content(snapshot: Snapshot, region: Box) -> Mapping[str, float]:
     """Return number, mass [kg] and volume [m3] of the mobile particles with centers inside the region."""
     particles = mobile_particles(snapshot.particles)
     selected_particles = selected(particles, _inside(particles["position"], region))
-    volume = 4.0 / 3.0 * np.pi * float((selected_particles["radius"].astype(float) ** 3).sum())
+    volume = float(sphere_volume(selected_particles["radius"].astype(float)).sum())
     mass = float(selected_particles["mass"].astype(float).sum())
     return {"content_count": float(len(selected_particles["mass"])), "content_mass": mass, "content_volume": volume}
 

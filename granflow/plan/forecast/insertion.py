@@ -5,6 +5,7 @@ from math import ceil, pi, sqrt
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.insertion import MAX_BATCHES, insertion_region
 from granflow.particles.regions import BoxSampler, CylinderSampler, RegionSampler, SlabSampler
@@ -101,7 +102,7 @@ def _largest_flow(
     along = sqrt(initial**2 + 2.0 * falling * depth)
     slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
     across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
-    volume = mean_volume(group) if group.clump is None else pi / 6.0 * outer_diameter_range(group)[1] ** 3
+    volume = mean_volume(group) if group.clump is None else sphere_volume(0.5 * outer_diameter_range(group)[1])
     flow, held = area * along + width * depth * across, region.volume
     return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * held / volume
 

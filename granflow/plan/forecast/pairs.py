@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_mass
 from granflow.plan.forecast.contact import TouchingPair
-from granflow.plan.pair_cases import sphere_mass
 from granflow.plan.plan import Plan
 from granflow.plan.scene_parts import PlannedGroup
 

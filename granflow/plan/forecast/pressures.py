@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.contact.material import Solid
 from granflow.geometry.catalog import area_of
+from granflow.geometry.sphere import sphere_volume
 from granflow.load import Scene
 from granflow.particles.regions import BoxSampler, CylinderSampler, sampler_of
 from granflow.particles.sizes import draw_diameters
@@ -109,7 +110,7 @@ def mean_volume(group: Group) -> float:
     else:
         count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLE)
         diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
-    return pi / 6.0 * float(np.mean(diameters**3))
+    return float(np.mean(sphere_volume(0.5 * diameters)))
 
 
 def solid_volume(particles: Mapping[str, Group]) -> float:

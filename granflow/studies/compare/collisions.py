@@ -11,7 +11,7 @@ import numpy as np
 from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
-from granflow.studies.collision_bench import sphere_mass
+from granflow.geometry.sphere import sphere_mass
 from granflow.studies.compare.variants import LawVariant, automatic_plan, restitution_for
 from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all
 

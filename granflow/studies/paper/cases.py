@@ -9,6 +9,7 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.material import Solid, VelocityRestitution, limit_velocity, modulus_eff
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.schema.presets import PRESETS
 from granflow.studies.head_on import HeadOnCollision
 
@@ -42,7 +43,7 @@ class PaperCase:
 
     def mass_eff(self, diameter: float | None = None) -> float:
         """Effective mass [kg] of two equal spheres: half the mass of one."""
-        return 0.5 * np.pi / 6.0 * (diameter or self.diameter) ** 3 * self.solid.density
+        return 0.5 * sphere_mass(0.5 * (diameter or self.diameter), self.solid.density)
 
     def stiffness(self, diameter: float | None = None) -> float:
         """Hertz stiffness k [N/m^1.5]; the effective radius is a quarter of the diameter."""

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from granflow.contact import theory
+from granflow.geometry.sphere import sphere_mass
 from granflow.io.tables import table_in
-from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
+from granflow.studies.collision_bench import Collision, CollisionBench
 
 SAFETY = 0.005
 """Time step over the shortest loading or unloading time."""

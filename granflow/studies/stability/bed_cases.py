@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Plan, Scene, Simulation, plan_for
+from granflow.geometry.sphere import sphere_volume
 from granflow.studies.stability.cases import CaseResult
 
 RADIUS, DENSITY, YOUNG, POISSON, GRAVITY = 1e-3, 2500.0, 5e7, 0.25, 9.81
@@ -114,7 +115,7 @@ def column_at_rest(law: str, densities: tuple[float, ...], young_modulus: float)
     `densities` [kg/m3] from bottom to top; `young_modulus` [Pa]. The initial overlaps are those of the equilibrium; the
     error is that of the force on the floor after REST_STEPS steps, relative to the weight.
     """
-    weights = GRAVITY * 4.0 / 3.0 * np.pi * RADIUS**3 * np.array(densities)
+    weights = GRAVITY * sphere_volume(RADIUS) * np.array(densities)
     heavy = max(densities)
     names = ["heavy" if density == heavy and heavy != DENSITY else "light" for density in densities]
 

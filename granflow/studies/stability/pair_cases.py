@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from granflow.contact.material import VelocityRestitution
-from granflow.studies.collision_bench import Collision, CollisionBench, sphere_mass
+from granflow.geometry.sphere import sphere_mass
+from granflow.studies.collision_bench import Collision, CollisionBench
 from granflow.studies.stability.cases import CaseResult
 
 POISSON = 0.25

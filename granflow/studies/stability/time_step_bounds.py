@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from granflow import ParticleData, Plan, RunError, Scene, Simulation
+from granflow.geometry.sphere import sphere_mass
 from granflow.scene.schema.run import LARGEST_OVERLAP
-from granflow.studies.collision_bench import sphere_mass
 from granflow.studies.reference_path import Impact
 from granflow.studies.stability.lattices import LATTICES, TestLattice
 

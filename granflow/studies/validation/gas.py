@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from granflow.geometry.sphere import sphere_volume
+
 Restitution = Callable[[np.ndarray], np.ndarray]
 """Coefficient of restitution over the normal velocity [m/s]."""
 NODES, WEIGHTS = np.polynomial.laguerre.laggauss(24)
@@ -33,7 +35,7 @@ class Gas:
     @property
     def pair_correlation(self) -> float:
         """chi at contact."""
-        phi = self.count * math.pi / 6.0 * self.diameter**3 / self.volume
+        phi = self.count * sphere_volume(0.5 * self.diameter) / self.volume
         return (1.0 - 0.5 * phi) / (1.0 - phi) ** 3
 
     def collision_rate(self, theta: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from granflow import Scene, Simulation
 from granflow.contact import theory
 from granflow.contact.material import Solid, modulus_eff
-from granflow.studies.collision_bench import sphere_mass
+from granflow.geometry.sphere import sphere_mass, sphere_volume
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.shipped import shipped_scene
 
@@ -187,7 +187,7 @@ def stack_motion(time: float) -> tuple[np.ndarray, float]:
 
     m1 z1'' = k (R - z1) - k (2 R - z2 + z1) - m1 g,   m2 z2'' = k (2 R - z2 + z1) - k (z2 + R - H) - m2 g
     """
-    mass = STACK_DENSITIES * math.pi / 6.0 * (2.0 * STACK_RADIUS) ** 3
+    mass = STACK_DENSITIES * sphere_volume(STACK_RADIUS)
     coupling = STACK_STIFFNESS * np.array([[2.0, -1.0], [-1.0, 2.0]])
     load = STACK_STIFFNESS * np.array([-STACK_RADIUS, STACK_HEIGHT + STACK_RADIUS]) - mass * GRAVITY
     rest, root = np.linalg.solve(coupling, load), np.sqrt(mass)

@@ -1,10 +1,11 @@
 """States of particles that all codes start from, and quantities of the states that they write."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+
+from granflow.geometry.sphere import sphere_mass
 
 SMALLEST, LARGEST, DENSITY = 3.6e-3, 4.4e-3, 2500.0
 """Diameters [m] and density [kg/m3] of the particles of all cases."""
@@ -27,7 +28,7 @@ class Particles:
     @property
     def mass(self) -> np.ndarray:
         """Masses (n,) [kg]."""
-        return np.asarray(DENSITY * math.pi / 6.0 * self.diameter**3)
+        return sphere_mass(0.5 * self.diameter, DENSITY)
 
 
 Frames = Mapping[float, Particles]
