@@ -57,7 +57,7 @@ def main() -> None:
 def measure_codes(options: argparse.Namespace, folder: Path) -> None:
     """Measures granflow and the available peers, in turn."""
     peers = available_peers(options)
-    out = options.out or RESULTS / f"{default_name()}{'-ranks' if options.ranks else ''}.json"
+    out = options.out or RESULTS / f"{default_name(options)}{'-ranks' if options.ranks else ''}.json"
     result = rounds.measure_all(options, rounds.gather_cases(options, folder), peers, folder, out)
     print(tables.text(result))
     print(f"Written: {out}")
@@ -65,7 +65,7 @@ def measure_codes(options: argparse.Namespace, folder: Path) -> None:
 
 def measure_phases(options: argparse.Namespace, folder: Path) -> None:
     """Measures the time of each phase of granflow."""
-    out = options.out or RESULTS / f"{default_name()}-phases.json"
+    out = options.out or RESULTS / f"{default_name(options)}-phases.json"
     result = phases.measure_all(options, rounds.gather_cases(options, folder), folder)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(result, indent=1) + "\n")
@@ -83,10 +83,11 @@ def available_peers(options: argparse.Namespace) -> list[str]:
     return [name for name, message in messages.items() if message is None]
 
 
-def default_name() -> str:
-    """File name made of the date and the processor."""
+def default_name(options: argparse.Namespace) -> str:
+    """File name made of the date, the processor and, unless it is f64, the precision."""
     words = machine()["processor"].lower().replace("(r)", "").replace("(tm)", "").split()
-    return "-".join([date.today().isoformat(), *words[:4]])
+    precision = [] if options.precision == "f64" else [options.precision]
+    return "-".join([date.today().isoformat(), *words[:4], *precision])
 
 
 def peer_names(text: str) -> list[str]:
@@ -113,7 +114,7 @@ def arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--peers", type=peer_names, default=[], help="codes to compare with: any of liggghts,lammps,yade")
     add("--phases", action="store_true", help="measure the time of each phase of granflow")
-    add("--page", nargs="?", const="", metavar="NAME", help="write the page from the results NAME (newest)")
+    add("--page", nargs="?", const="", metavar="NAME", help="write the page from the results NAME (newest in f64)")
     add("--quick", action="store_true", help="about two minutes: up to 50 000 particles, two threads, one round")
     add("--sizes", type=int, nargs="*", help=f"particles in a bed ({' '.join(map(str, SIZES))})")
     add("--no-hopper", dest="hopper", action="store_false", help="skip the hopper")
@@ -133,7 +134,12 @@ def arguments() -> argparse.Namespace:
     add("--beds", type=Path, metavar="DIR", help="folder with settled beds bed*.data[.gz]")
     add("--hopper-data", type=Path, metavar="FILE", help="particles of the hopper as a LAMMPS data file")
     add("--work", type=Path, metavar="DIR", help="directory that keeps beds and inputs for later runs")
-    add("--out", type=Path, metavar="FILE", help="file of the results (tools/benchmark/results/DATE-CPU.json)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="file of the results (tools/benchmark/results/DATE-CPU.json, DATE-CPU-mixed.json)",
+    )
     options = parser.parse_args()
     defaults = {"sizes": list(SIZES), "laws": list(LAWS), "threads": [1, 2], "rounds": 3, "scale": 1.0}
     for key, value in (defaults | (QUICK if options.quick else {})).items():

@@ -1,6 +1,8 @@
 """tools/bench.py: generated beds, logs of other codes, ratios, byte and operation counts, messages."""
 
+import argparse
 import importlib
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -185,8 +187,6 @@ def test_missing_peer_is_reported_with_its_package(monkeypatch):
 
 
 def test_page_contains_the_measurements(tmp_path, monkeypatch):
-    import json
-
     page, machine = module("page"), module("machine")
     monkeypatch.setattr(page, "PAGE", tmp_path / "README.md")
     monkeypatch.setattr(page, "FIGURE", tmp_path / "scaling.svg")
@@ -199,9 +199,25 @@ def test_page_contains_the_measurements(tmp_path, monkeypatch):
     assert "- yade is skipped." in text and "(results/one.json)" in text
 
 
-def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
-    import json
+def test_page_is_that_of_the_newest_results_in_double_precision(tmp_path):
+    """Three results of one day, the newest in mixed precision, and older ones of another name."""
+    page = module("page")
+    runs = {"b.json": ("10:00", "f64"), "a.json": ("11:00", "f64"), "a-mixed.json": ("12:00", "mixed")}
+    for name, (time, precision) in runs.items():
+        result = {"kind": "peers", "machine": {"date": f"2026-01-02 {time} UTC"}, "points": [{"precision": precision}]}
+        (tmp_path / name).write_text(json.dumps(result))
+    assert page.newest(tmp_path, "peers", "").name == "a.json"
+    assert page.newest(tmp_path, "peers", "a-mixed").name == "a-mixed.json"
+    assert page.newest(tmp_path, "phases", "") is None
 
+
+def test_default_names_differ_by_precision():
+    bench = importlib.import_module("bench")
+    names = [bench.default_name(argparse.Namespace(precision=each)) for each in ("f64", "mixed", "f32")]
+    assert names[1:] == [f"{names[0]}-mixed", f"{names[0]}-f32"]
+
+
+def test_table_of_the_guide_contains_the_measurements_on_ranks(tmp_path):
     ranks_page, machine = module("ranks_page"), module("machine")
     guide = tmp_path / "parallel.md"
     guide.write_text(f"# Ranks\n\n{ranks_page.BEGIN}old\n{ranks_page.END}\nLimits\n")

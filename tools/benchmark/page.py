@@ -82,13 +82,19 @@ def write(folder: Path, name: str) -> Path:
 
 
 def newest(folder: Path, kind: str, name: str) -> Path | None:
-    """The newest results of a kind by their date, or the results `name`."""
+    """The newest results of a kind in double precision by date and time, or the results `name` in any precision."""
     found = []
     for path in folder.glob("*.json"):
         result = json.loads(path.read_text())
-        if result.get("kind") == kind and name in ("", path.stem, path.name):
+        chosen = name in (path.stem, path.name) if name else is_double(result)
+        if result.get("kind") == kind and chosen:
             found.append((result["machine"]["date"], path))
     return max(found)[1] if found else None
+
+
+def is_double(result: dict[str, Any]) -> bool:
+    """Whether all measurements of granflow are in double precision."""
+    return all(point.get("precision", "f64") == "f64" for point in result.get("points", ()))
 
 
 def machine_lines(result: dict[str, Any]) -> str:
