@@ -20,7 +20,7 @@ LARGEST_REAL = float(np.finfo(np.float32).max)
 """Largest magnitude of physical quantities: larger ones overflow in single precision."""
 
 MOST_STEPS = 2**53
-"""Largest step number: larger ones are not exact in double precision."""
+"""Largest number of steps or of collisions: larger ones are not exact in double precision."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class CollisionEnergies(ScheduledObserver):
         super().__init__(interval)
         self._bounds = list(zip([0.0, *edges.tolist()], [*edges.tolist(), np.inf], strict=True))
         self._rows = RowFile(Path(directory) / "collision_energies.csv")
-        self._counted = {kind: np.zeros(len(edges) + 1) for kind in ("particle", "wall")}
+        self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write the rows of the interval since the last snapshot; the first snapshot begins the first interval."""
@@ -38,10 +38,10 @@ class CollisionEnergies(ScheduledObserver):
         if self._rows.is_empty:
             self._rows.write(COLUMNS)
         for kind, counts in snapshot.collisions.items() if before is not None else ():
-            new = counts - self._counted[kind].astype(np.int64)
+            new = counts - self._counted[kind]
             for (low, high), count, total in zip(self._bounds, new.tolist(), counts.tolist(), strict=True):
                 self._rows.write([before, snapshot.time, kind, low, high, count, total])
-            self._counted[kind] = counts.astype(float)
+            self._counted[kind] = counts
 
     def finish(self) -> None:
         """Close the file."""

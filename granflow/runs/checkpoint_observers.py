@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.io.checkpoint import Checkpoint
-from granflow.io.checkpoint_parts import LARGEST_REAL, Part
+from granflow.io.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
 
 LIST_TYPES: dict[str, tuple[str, ...]] = {
     "frames": ("number", "text"), "history": ("number", "text", "number"), "columns": ("text",),
@@ -67,6 +67,8 @@ def _check_like(part: Part, template: Any) -> None:
     elif isinstance(template, list):
         for row in part.items():
             _check_row(row, LIST_TYPES.get(key, ()))
+    elif isinstance(template, np.ndarray) and template.dtype.kind == "i":
+        part.integers(*template.shape, high=MOST_STEPS)
     elif isinstance(template, np.ndarray):
         part.floats(*template.shape)
     elif template is None:
