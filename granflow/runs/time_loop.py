@@ -231,9 +231,9 @@ class TimeLoop:
         return result
 
     def result(self) -> Result:
-        """Numbers of the run so far, with expectations if all stages have ended."""
+        """Numbers of the run so far, with expectations if all stages have ended; the run continues as without it."""
         state = self.state
-        totals = self.engine.observe(state.progress.stage, frozenset({TOTALS})).totals
+        totals = self.engine.snapshot(state.progress.stage, frozenset({TOTALS})).totals
         readings = {**state.observers.readings(), "insertion": state.insertion.results()}
         result = collect_result(self.engine, state.wall_clock, totals, readings)
         if not self.stages_ended:
