@@ -1,5 +1,6 @@
 """The engine of one MPI rank. The root controls the run; the other ranks execute its commands."""
 
+import atexit
 import gc
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
@@ -53,6 +54,7 @@ class RankEngine(Engine):
 
     def __init__(self, plan: Plan, backend: Backend, communicator: Communicator) -> None:
         self.communicator = communicator
+        atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
         with communicator.commanding(START):
             super().__init__(rank_plan(plan, communicator.size), backend)
             self.state.ranks = communicator

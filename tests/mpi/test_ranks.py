@@ -16,6 +16,7 @@ import rank_launcher
 from rank_launcher import alone, environment, on_ranks
 from scene_builders import box, build_scene, moving_lattice, particle_group, vibrating_box
 
+from granflow.engine.kernel_cache import KERNELS, VARIABLE
 from granflow.io.checkpoint import read_checkpoint
 
 pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
@@ -59,6 +60,16 @@ def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
     assert (one.returncode, two.returncode) == (0, 0), two.stderr[-2000:]
     assert (tmp_path / "one" / "particles_0002.vtu").exists()
     assert_same_files(tmp_path / "one", tmp_path / "two")
+
+
+def test_ranks_store_their_kernels_for_the_next_run(tmp_path, monkeypatch):
+    cache, scene = tmp_path / "cache", small_scene(tmp_path)
+    monkeypatch.setenv(VARIABLE, str(cache))
+    found = []
+    for ranks in (1, 2):
+        completed(run_on_ranks(ranks, "run", scene, "--mpi", "--out", tmp_path / str(ranks)))
+        found.append({path.name for path in cache.glob(KERNELS)})
+    assert found[0] and found[0] == found[1]
 
 
 def resumable_scene(folder):
