@@ -54,12 +54,12 @@ class RankEngine(Engine):
 
     def __init__(self, plan: Plan, backend: Backend, communicator: Communicator) -> None:
         self.communicator = communicator
-        atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
         with communicator.commanding(START):
             super().__init__(rank_plan(plan, communicator.size), backend)
             self.state.ranks = communicator
             gc.collect()
             gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
+            atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
             communicator.barrier()
 
     def free(self) -> None:

@@ -122,20 +122,35 @@ def rate_through(scene):
     return len(start) / 0.25
 
 
+def assert_limits_the_rate(scene, is_too_small, largest_ratio, tolerance):
+    """Assert that a limit below the required 1200 particles per second is reported if, and only if, it is one.
+
+    largest_ratio:  of the reported limit to the rate of the inserter
+    tolerance:      relative, of the rate of the inserter without a limit
+    Returns:        the warnings
+    """
+    found = queue_warnings(scene)
+    assert len(found) == is_too_small
+    reached = rate_through(scene)
+    if is_too_small:
+        limit = float(found[0].split("at most about ")[1].split(" leave")[0])
+        assert reached < limit < min(1200.0, largest_ratio * reached)
+    else:
+        assert reached == pytest.approx(1200.0, rel=tolerance)
+    return found
+
+
+def queue_warnings(scene):
+    """Warnings on particles that are queued."""
+    return [each for each in warnings_of(scene) if "are queued" in each]
+
+
 @pytest.mark.parametrize(
     ("radius", "is_too_small"), [(3.0, True), (5.0, True), (8.0, True), (10.0, False), (15.0, False)]
 )
 def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most three times as large."""
-    scene = inlet_scene(tmp_path, radius)
-    found = [each for each in warnings_of(scene) if "are queued" in each]
-    assert len(found) == is_too_small
-    reached = rate_through(scene)
-    if is_too_small:
-        limit = float(found[0].split("at most about ")[1].split(" leave")[0])
-        assert reached < limit < min(1200.0, 3.0 * reached)
-    else:
-        assert reached == pytest.approx(1200.0, rel=0.01)
+    assert_limits_the_rate(inlet_scene(tmp_path, radius), is_too_small, largest_ratio=3.0, tolerance=0.01)
 
 
 @pytest.mark.parametrize(
@@ -145,15 +160,9 @@ def test_inlet_that_is_too_small_for_its_rate_is_reported(tmp_path, radius, is_t
 def test_region_of_rain_that_is_too_small_for_its_rate_is_reported(tmp_path, region, is_too_small):
     """The forecast is an upper bound of the rate of the inserter, at most four times as large."""
     scene = flow_scene(tmp_path, f"{{kind: rain, rate: 1200 1/s, region: {region}}}")
-    found = [each for each in warnings_of(scene) if "are queued" in each]
-    assert len(found) == is_too_small
-    reached = rate_through(scene)
-    if is_too_small:
-        limit = float(found[0].split("at most about ")[1].split(" leave the region")[0])
-        assert reached < limit < min(1200.0, 4.0 * reached)
-        assert "Enlarge the region, raise particles.jet.velocity, or lower the rate." in found[0]
-    else:
-        assert reached == pytest.approx(1200.0, rel=0.05)
+    for warning in assert_limits_the_rate(scene, is_too_small, largest_ratio=4.0, tolerance=0.05):
+        assert "leave the region in a second" in warning
+        assert "Enlarge the region, raise particles.jet.velocity, or lower the rate." in warning
 
 
 @pytest.mark.parametrize(("count", "gravity", "is_reported"), [(60, 0, True), (20, 0, False), (60, "-9.81", False)])
@@ -161,11 +170,11 @@ def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, 
     """4 cm3 hold at most 0.45 * 4 cm3 / 33.5 mm3 = 54 particles; 60 per second is a low rate with gravity."""
     rain = f"{{kind: rain, rate: 60 1/s, region: {BOX % (20, 20)}}}"
     scene = flow_scene(tmp_path, rain, f"gravity=[0, 0, {gravity}]", count=count, velocity=0)
-    found = [each for each in warnings_of(scene) if "are queued" in each]
+    found = queue_warnings(scene)
     assert len(found) == is_reported
     assert all("60 particles are required, but the region holds at most about 54" in each for each in found)
 
 
 def test_rain_of_few_particles_fits_into_its_region_at_once(tmp_path):
     rain = f"{{kind: rain, rate: 1e5 1/s, region: {BOX % (20, 20)}}}"
-    assert not [each for each in warnings_of(flow_scene(tmp_path, rain, count=20)) if "are queued" in each]
+    assert not queue_warnings(flow_scene(tmp_path, rain, count=20))
