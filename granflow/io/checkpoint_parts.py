@@ -19,7 +19,7 @@ SHOWN = 60
 LARGEST_REAL = float(np.finfo(np.float32).max)
 """Largest magnitude of physical quantities: larger ones overflow in single precision."""
 
-MOST_STEPS = 2**53
+LARGEST_COUNT = 2**53
 """Largest number of steps or of collisions: larger ones are not exact in double precision."""
 
 
@@ -82,7 +82,7 @@ class Part:
             raise self.mismatch(f"a number in [{low:.10g}, {high:.10g}]")
         return value
 
-    def integer(self, low: int = 0, high: int = MOST_STEPS) -> int:
+    def integer(self, low: int = 0, high: int = LARGEST_COUNT) -> int:
         """Return the value, a whole number in [low, high]; true and false are not numbers. Raises CheckpointError."""
         if isinstance(self.value, bool) or not isinstance(self.value, int) or not low <= self.value <= high:
             raise self.mismatch(f"a whole number in [{low}, {high}]")

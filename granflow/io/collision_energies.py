@@ -1,4 +1,4 @@
-"""`collision_energies.csv`: its columns, and its counts by interval and class."""
+"""`collision_energies.csv`: its name, its columns, and its counts by interval and class."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.io.tables import Table
+
+FILE = "collision_energies.csv"
+"""Name of the file in the directory of a run."""
 
 COLUMNS = (
     "time_start [s]", "time_end [s]", "contact", "energy_min [J]", "energy_max [J]", "count", "count_total",

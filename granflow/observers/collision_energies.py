@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.io.collision_energies import COLUMNS
+from granflow.io.collision_energies import COLUMNS, FILE
 from granflow.io.row_file import RowFile
 from granflow.observers.base import TOTALS
 from granflow.observers.schedule import ScheduledObserver
@@ -27,7 +27,7 @@ class CollisionEnergies(ScheduledObserver):
     def __init__(self, directory: Path, interval: float, edges: np.ndarray) -> None:
         super().__init__(interval)
         self._bounds = list(zip([0.0, *edges.tolist()], [*edges.tolist(), np.inf], strict=True))
-        self._rows = RowFile(Path(directory) / "collision_energies.csv")
+        self._rows = RowFile(Path(directory) / FILE)
         self._counted = {kind: np.zeros(len(edges) + 1, dtype=np.int64) for kind in ("particle", "wall")}
 
     def observe(self, snapshot: Snapshot) -> None:

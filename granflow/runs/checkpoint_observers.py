@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.io.checkpoint import Checkpoint
-from granflow.io.checkpoint_parts import LARGEST_REAL, MOST_STEPS, Part
+from granflow.io.checkpoint_parts import LARGEST_COUNT, LARGEST_REAL, Part
 
 LIST_TYPES: dict[str, tuple[str, ...]] = {
     "frames": ("number", "text"), "history": ("number", "text", "number"), "columns": ("text",),
@@ -68,7 +68,7 @@ def _check_like(part: Part, template: Any) -> None:
         for row in part.items():
             _check_row(row, LIST_TYPES.get(key, ()))
     elif isinstance(template, np.ndarray) and template.dtype.kind == "i":
-        part.integers(*template.shape, high=MOST_STEPS)
+        part.integers(*template.shape, high=LARGEST_COUNT)
     elif isinstance(template, np.ndarray):
         part.floats(*template.shape)
     elif template is None:

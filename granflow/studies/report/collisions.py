@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.io.collision_energies import collision_table
+from granflow.io.collision_energies import FILE, collision_table
 from granflow.io.tables import read_table
 from granflow.studies.figures import COLORS
 from granflow.studies.report.plots import Plot, curve_layout, plain
@@ -14,7 +14,6 @@ from granflow.studies.report.topics import Topic
 from granflow.studies.tables import PageTable
 from granflow.visible_text import readable
 
-FILE = "collision_energies.csv"
 TITLE = "Collisions by impact energy"
 
 
