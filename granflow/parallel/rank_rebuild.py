@@ -4,6 +4,7 @@ When particles migrate, all of a rank pass through the host with their contact h
 takes a few steps' time. Most rebuilds keep the owned particles, and select new ghosts only.
 """
 
+import time as clock
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.ranks import Arrays
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
-from granflow.parallel.balance import LoadBalance
+from granflow.parallel.balance import LoadBalance, migration_pays
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.ghosts import GhostExchange
 from granflow.parallel.migration import Share, migrated
@@ -32,7 +33,8 @@ UNUSED = -1
 """Id of array entries that contain no particle."""
 
 MIGRATION_INTERVAL = 8
-"""Rebuilds from one migration to the next, unless deletion, insertion or the number of ghosts require it earlier."""
+"""Rebuilds from one migration to the next, unless deletion, insertion, the number of ghosts or unequal times of the
+ranks require it earlier."""
 
 MORE_GHOSTS = 1.25
 """Ghosts of a rank over those after the last migration above which particles migrate."""
@@ -85,9 +87,10 @@ class RankRebuild:
         if self._replace_ghosts(pose, workers, reach_time):
             self._fill(pose, workers, reach_time)
         else:
-            particles = self._taken()
+            began, particles = clock.perf_counter(), self._taken()
             present, deleted = self._without_deleted(particles.arrays)
             self._list(particles, present, deleted, pose, workers, reach_time)
+            self.balance.migration_seconds = clock.perf_counter() - began
         if int(state.control.abort[0]) == ABORT_FAR and state.count:
             find_farthest(state)
 
@@ -142,9 +145,9 @@ class RankRebuild:
         """
         free = self._state.plan.capacities.particles - self.ghosts.first
         limit = min(free, int(MORE_GHOSTS * self._ghosts_at_migration) + self._state.plan.chunk_size)
-        gathered = self._communicator.from_each((stays, limit, sent))
-        received = np.sum([numbers for _, _, numbers in gathered], axis=0)
-        return all(each and count <= most for (each, most, _), count in zip(gathered, received, strict=True))
+        gathered = self._communicator.from_each((stays, limit, sent, self.balance.cost))
+        all_stay, limits, numbers, costs = zip(*gathered, strict=True)
+        return all(all_stay) and bool((np.sum(numbers, axis=0) <= limits).all()) and not migration_pays(costs)
 
     def _prepare(self, pose: int, workers: int, count: int) -> bool:
         """Wrap the owned particles and save their contact histories on the device; False if these do not fit."""

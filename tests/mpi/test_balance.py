@@ -6,7 +6,14 @@ from threading import Barrier
 import numpy as np
 import pytest
 
-from granflow.parallel.balance import CONTACT_WEIGHT, PARTICLE_WEIGHT, LoadBalance, relative_costs
+from granflow.parallel.balance import (
+    CONTACT_WEIGHT,
+    PARTICLE_WEIGHT,
+    LoadBalance,
+    MeasuredCost,
+    migration_pays,
+    relative_costs,
+)
 
 COUNT = 4000
 SLOW_STEP = 0.01
@@ -57,8 +64,9 @@ def owner_of(position, contacts, *measured):
         found = []
         for seconds in (None, *measured):
             if seconds is not None:
-                balance.record(10.0 * seconds[communicator.rank])  # a step that another program has disturbed
-                balance.record(seconds[communicator.rank])
+                own_seconds = seconds[communicator.rank]
+                balance.record(0.5 * own_seconds)
+                balance.record(1.5 * own_seconds)
             moved = balance.owners(position[own], contacts[own])
             owners, rows = (np.concatenate(part) for part in zip(*communicator.from_each((moved, own)), strict=True))
             found.append(owners[np.argsort(rows)])
@@ -101,7 +109,7 @@ def test_measured_times_move_the_cut(position):
 
 def test_small_imbalance_does_not_move_the_cut(position):
     contacts = np.full(COUNT, 4)
-    first, second = owner_of(position, contacts, (1.15 * SLOW_STEP, SLOW_STEP))
+    first, second = owner_of(position, contacts, (1.05 * SLOW_STEP, SLOW_STEP))
     assert (first == second).all()
 
 
@@ -117,3 +125,33 @@ def test_costs_are_limited_and_need_the_times_of_all_ranks():
     assert relative_costs(np.array([200, 0]), np.array([0.01, 0.01])).tolist() == [1.0, 1.0]
     np.testing.assert_allclose(relative_costs(weights, np.array([0.03, 0.01])), [1.5, 0.5])
     assert relative_costs(np.array([100, 1000]), np.array([0.1, 0.01]))[0] == 2.0
+
+
+def test_cost_of_a_rank_begins_anew_after_a_migration():
+    ranks = ThreadRanks(1)
+
+    def costs(communicator):
+        balance = LoadBalance(communicator)
+        before = balance.cost
+        balance.record(0.25)
+        balance.record(0.75)
+        measured = balance.cost
+        balance.owners(np.zeros((1, 3)), np.zeros(1, np.int64))
+        return before, measured, balance.cost
+
+    before, measured, after = ranks.run(costs)[0]
+    assert (measured.step, measured.steps) == (0.5, 2)
+    assert before == after == MeasuredCost(np.inf, 0, np.inf)
+
+
+@pytest.mark.parametrize(("steps", "due"), [(39, False), (41, True)])
+def test_migration_is_due_when_waiting_has_cost_twice_its_time(steps, due):
+    """Steps of 12 and 8 ms: 2 ms over the mean in each, 80 ms in 40 steps, twice the 40 ms of the slower migration."""
+    costs = [MeasuredCost(0.012, steps, 0.03), MeasuredCost(0.008, steps, 0.04)]
+    assert migration_pays(costs) is due
+    assert not migration_pays([MeasuredCost(0.012, 10 * steps, 0.03), MeasuredCost(0.012, 10 * steps, 0.04)])
+
+
+def test_migration_is_not_due_before_a_step_or_for_launches_alone():
+    assert not migration_pays([MeasuredCost(np.inf, 0, 0.01), MeasuredCost(np.inf, 0, 0.01)])
+    assert not migration_pays([MeasuredCost(2e-4, 10**6, 0.01), MeasuredCost(1e-4, 10**6, 0.01)])
