@@ -1,9 +1,11 @@
 """Kernels on all fields of a block: fill them with zeros, copy them to longer ones."""
 
 from collections.abc import Callable, Sequence
+from math import prod
 from typing import Any
 
 from granflow.engine.host_fields import components
+from granflow.engine.limits import LARGEST_DISPATCH
 from granflow.kernel_language import ti
 
 UNROLLED = 16
@@ -15,16 +17,12 @@ def build_clear(state: Any) -> Callable[[], None]:
 
     Writes:  all fields of the state
     """
-    groups = _groups([(field, field) for field in state.fields])
 
-    @ti.kernel
-    def clear():
-        for group in ti.static(groups):
-            for index in ti.grouped(group[0][0]):
-                for _, component in ti.static(group):
-                    component[index] = 0
+    @ti.func
+    def clear(_source, target: ti.template(), index):
+        target[index] = 0
 
-    return clear
+    return _on_all_entries([(field, field) for field in state.fields], clear)
 
 
 def build_copy(sources: Sequence[Any], targets: Sequence[Any]) -> Callable[[], None]:
@@ -33,16 +31,44 @@ def build_copy(sources: Sequence[Any], targets: Sequence[Any]) -> Callable[[], N
     Reads:   sources
     Writes:  targets
     """
-    groups = _groups([*zip(sources, targets, strict=True)])
+
+    @ti.func
+    def copy(source: ti.template(), target: ti.template(), index):
+        target[index] = source[index]
+
+    return _on_all_entries([*zip(sources, targets, strict=True)], copy)
+
+
+def _on_all_entries(pairs: Sequence[tuple[Any, Any]], process: Any) -> Callable[[], None]:
+    """Kernel () that calls a device function (source, target, index) for all entries of each pair of scalar fields."""
+    groups = [(prod(group[0][0].shape), _index_in(group[0][0].shape), group) for group in _groups(pairs)]
 
     @ti.kernel
-    def copy():
-        for group in ti.static(groups):
-            for index in ti.grouped(group[0][0]):
-                for source, target in ti.static(group):
-                    target[index] = source[index]
+    def on_all_entries():
+        for length, index_of, group in ti.static(groups):
+            for thread in range(min(length, LARGEST_DISPATCH)):
+                entry = thread
+                while entry < length:
+                    for source, target in ti.static(group):
+                        process(source, target, index_of(entry))
+                    entry += LARGEST_DISPATCH
 
-    return copy
+    return on_all_entries
+
+
+def _index_in(shape: tuple[int, ...]) -> Any:
+    """Device function (entry): index in fields of one or two axes of an entry, counted along the last axis first."""
+    columns = shape[-1]
+
+    @ti.func
+    def along_one_axis(entry):
+        return ti.Vector([entry])
+
+    @ti.func
+    def along_two_axes(entry):
+        return ti.Vector([entry // columns, entry % columns])
+
+    return along_one_axis if len(shape) == 1 else along_two_axes
 
 
 def _groups(pairs: Sequence[tuple[Any, Any]]) -> list[list[tuple[Any, Any]]]:

@@ -8,7 +8,7 @@ can change for it, so that all of its tasks decide alike, and no serial task is 
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.limits import FORCES, INTEGRATION
+from granflow.engine.limits import FORCES, INTEGRATION, LARGEST_DISPATCH
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_move_walls
 from granflow.kernel_language import ti
@@ -27,9 +27,33 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     Reads:   as the phases
     Writes:  as the phases; halted_at, steps_done
     """
-    control, real, force_controlled = state.control, state.backend.real, state.plan.features.force_controlled_walls
+    control, real, most_chunks = state.control, state.backend.real, state.plan.capacities.chunks
+    move, compute_forces = _build_phases(state, integrate, forces)
+
+    @ti.kernel
+    def step_on_gpu(
+        number: ti.i32, steps_before: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
+        forcing: ti.i32
+    ):  # fmt: skip
+        for thread in range(min(most_chunks, LARGEST_DISPATCH)):
+            if thread < moving * chunks and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
+                launch = ti.Struct(
+                    number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
+                )  # fmt: skip
+                move(thread, launch)
+        for thread in range(min(most_chunks, LARGEST_DISPATCH)):
+            if thread < forcing * chunks and control.halted_at[INTEGRATION] > number:
+                if control.halted_at[FORCES] >= number:
+                    launch = ti.Struct(number=number, chunks=chunks, count=count, pose=pose, dt=dt)
+                    compute_forces(thread, launch)
+
+    return step_on_gpu
+
+
+def _build_phases(state: State, integrate: Any, forces: Any) -> tuple[Any, Any]:
+    """Device functions (thread, launch) of the integration and of the forces; `launch`: arguments of the kernel."""
+    control, force_controlled = state.control, state.plan.features.force_controlled_walls
     move_walls = build_move_walls(state) if force_controlled else None
-    most_chunks = state.plan.capacities.chunks
 
     @ti.func
     def record_halt(phase: ti.template(), number):
@@ -38,23 +62,32 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
             if control.halted_at[phase] != number:
                 control.halted_at[phase] = number
 
-    @ti.kernel
-    def step_on_gpu(
-        number: ti.i32, steps_before: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
-        forcing: ti.i32
-    ):  # fmt: skip
-        for chunk in range(most_chunks):
-            if chunk < moving * chunks and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
-                if chunk == 0:
-                    control.steps_done[0] = steps_before
-                    if ti.static(force_controlled):
-                        move_walls(chunks, pose, dt)
-                integrate(chunk, count, pose, dt)
-                record_halt(INTEGRATION, number)
-        for chunk in range(most_chunks):
-            if chunk < forcing * chunks and control.halted_at[INTEGRATION] > number:
-                if control.halted_at[FORCES] >= number:
-                    forces(0, chunk, count, pose, dt)
-                    record_halt(FORCES, number)
+    @ti.func
+    def move(chunk, launch):
+        if chunk == 0:
+            control.steps_done[0] = launch.steps_before
+            if ti.static(force_controlled):
+                move_walls(launch.chunks, launch.pose, launch.dt)
+        integrate(chunk, launch.count, launch.pose, launch.dt)
+        record_halt(INTEGRATION, launch.number)
 
-    return step_on_gpu
+    @ti.func
+    def compute_forces(chunk, launch):
+        forces(0, chunk, launch.count, launch.pose, launch.dt)
+        record_halt(FORCES, launch.number)
+
+    return _on_each_chunk(state, move), _on_each_chunk(state, compute_forces)
+
+
+def _on_each_chunk(state: State, process: Any) -> Any:
+    """Device function (thread, launch) that calls another one, (chunk, launch), for each chunk of a thread."""
+    most_chunks = state.plan.capacities.chunks
+
+    @ti.func
+    def on_each_chunk(thread, launch):
+        chunk = thread
+        while chunk < launch.chunks:
+            process(chunk, launch)
+            chunk += LARGEST_DISPATCH
+
+    return process if most_chunks <= LARGEST_DISPATCH else on_each_chunk

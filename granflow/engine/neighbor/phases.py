@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.engine.control import CACHE_LINE
+from granflow.engine.limits import LARGEST_DISPATCH
 from granflow.engine.state import CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.kernel_language import ti
@@ -90,10 +91,16 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
         control.running[0], control.list_length_needed[0] = 1, 0
         for number, phase in ti.static(numbered):
             # A constant length: Taichi computes any other one in a dispatch of its own.
-            for task in range(phase.most):
+            for thread in range(min(phase.most, LARGEST_DISPATCH)):
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                if number >= first and control.running[0] == 1 and task < phase.count(rebuild):
-                    phase.body(task, rebuild)
+                if number >= first and control.running[0] == 1 and thread < phase.count(rebuild):
+                    if ti.static(phase.most <= LARGEST_DISPATCH):
+                        phase.body(thread, rebuild)
+                    else:
+                        task = thread
+                        while task < phase.count(rebuild):
+                            phase.body(task, rebuild)
+                            task += LARGEST_DISPATCH
             if ti.static(phase.has_serial):
                 for _ in range(1):  # one task of the kernel
                     if number >= first and control.running[0] == 1:
