@@ -15,8 +15,10 @@ import numpy as np
 from benchmark import codes, counts, ours
 from benchmark.cases import Case, steps_for
 from benchmark.machine import last_level_cache, machine
+from granflow.kernel_language import KERNELS
 
-PROFILER = "TI_KERNEL_PROFILER"
+PROFILER = "TI_KERNEL_PROFILER" if KERNELS == "taichi" else "QD_KERNEL_PROFILER"
+"""Environment variable that enables the profiler of the kernel language; without it the profiler ends the process."""
 REBUILDS = 5
 LEAST_STEPS = 1024
 """Smallest number of steps in which the stepper takes several samples of its phases."""

@@ -7,8 +7,6 @@ from typing import Any
 
 ARRAY_LENGTH = 1 << 27
 """Length of each of three f32 arrays on a GPU: 512 MiB, much larger than its caches."""
-MOST_THREADS = 1 << 22
-"""Threads of a dispatch; Vulkan guarantees 65535 groups of 128 threads."""
 
 
 def present(arch: str) -> dict[str, Any]:
@@ -76,9 +74,10 @@ def _gpu_bandwidth(count: int) -> dict[str, float]:
     """Bandwidth with coalesced access: neighboring threads access neighboring elements; `count` is a power of 2."""
     from benchmark import limits
 
+    from granflow.engine.limits import LARGEST_DISPATCH
     from granflow.kernel_language import ti
 
-    threads = min(count, MOST_THREADS)
+    threads = min(count, LARGEST_DISPATCH)
     builder = ti.FieldsBuilder()
     a, b, c = (ti.field(ti.f32) for _ in range(3))
     for field in (a, b, c):

@@ -32,7 +32,7 @@ def bytes_needed(bed_file: str, count: int, precision: str, on_gpu: bool) -> tup
 def measure(arch: str, precision: str, bed_file: str, count: int, seconds: float) -> dict[str, Any]:
     """Job of a subprocess: particle-steps per second of a settled bed, with memory traffic, timings and contacts.
 
-    If TI_KERNEL_PROFILER is set, the result includes the time [s] of each kernel per step and per rebuild.
+    If `phases.PROFILER` is set, the result includes the time [s] of each kernel per step and per rebuild.
     """
     from granflow.engine.backend import start
 
