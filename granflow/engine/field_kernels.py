@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any
 
+from granflow.engine.dispatch import build_tasks_of_thread, thread_count
 from granflow.engine.host_fields import components
-from granflow.engine.limits import LARGEST_DISPATCH
 from granflow.kernel_language import ti
 
 UNROLLED = 16
@@ -41,19 +41,28 @@ def build_copy(sources: Sequence[Any], targets: Sequence[Any]) -> Callable[[], N
 
 def _on_all_entries(pairs: Sequence[tuple[Any, Any]], process: Any) -> Callable[[], None]:
     """Kernel () that calls a device function (source, target, index) for all entries of each pair of scalar fields."""
-    groups = [(prod(group[0][0].shape), _index_in(group[0][0].shape), group) for group in _groups(pairs)]
+    loops = [_loop(group, process) for group in _groups(pairs)]
 
     @ti.kernel
     def on_all_entries():
-        for length, index_of, group in ti.static(groups):
-            for thread in range(min(length, LARGEST_DISPATCH)):
-                entry = thread
-                while entry < length:
-                    for source, target in ti.static(group):
-                        process(source, target, index_of(entry))
-                    entry += LARGEST_DISPATCH
+        for length, threads, entries_of_thread in ti.static(loops):
+            for thread in range(threads):
+                entries_of_thread(thread, length, 0)
 
     return on_all_entries
+
+
+def _loop(group: list[tuple[Any, Any]], process: Any) -> tuple[int, int, Any]:
+    """Entries of each source of the group, threads for them, and the device function of a thread."""
+    shape = group[0][0].shape
+    length, index_of = prod(shape), _index_in(shape)
+
+    @ti.func
+    def process_entry(entry, _argument):
+        for source, target in ti.static(group):
+            process(source, target, index_of(entry))
+
+    return length, thread_count(length), build_tasks_of_thread(process_entry, length)
 
 
 def _index_in(shape: tuple[int, ...]) -> Any:

@@ -8,7 +8,8 @@ can change for it, so that all of its tasks decide alike, and no serial task is 
 from collections.abc import Callable
 from typing import Any
 
-from granflow.engine.limits import FORCES, INTEGRATION, LARGEST_DISPATCH
+from granflow.engine.dispatch import build_tasks_of_thread, thread_count
+from granflow.engine.limits import FORCES, INTEGRATION
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_move_walls
 from granflow.kernel_language import ti
@@ -28,30 +29,33 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
     Writes:  as the phases; halted_at, steps_done
     """
     control, real, most_chunks = state.control, state.backend.real, state.plan.capacities.chunks
-    move, compute_forces = _build_phases(state, integrate, forces)
+    threads = thread_count(most_chunks)
+    move, compute_forces = (
+        build_tasks_of_thread(body, most_chunks) for body in _build_phases(state, integrate, forces)
+    )
 
     @ti.kernel
     def step_on_gpu(
         number: ti.i32, steps_before: ti.i32, chunks: ti.i32, count: ti.i32, pose: ti.i32, dt: real, moving: ti.i32,
         forcing: ti.i32
     ):  # fmt: skip
-        for thread in range(min(most_chunks, LARGEST_DISPATCH)):
-            if thread < moving * chunks and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
+        for thread in range(threads):
+            if moving == 1 and ti.min(control.halted_at[INTEGRATION], control.halted_at[FORCES]) >= number:
                 launch = ti.Struct(
                     number=number, steps_before=steps_before, chunks=chunks, count=count, pose=pose, dt=dt
                 )  # fmt: skip
-                move(thread, launch)
-        for thread in range(min(most_chunks, LARGEST_DISPATCH)):
-            if thread < forcing * chunks and control.halted_at[INTEGRATION] > number:
+                move(thread, chunks, launch)
+        for thread in range(threads):
+            if forcing == 1 and control.halted_at[INTEGRATION] > number:
                 if control.halted_at[FORCES] >= number:
                     launch = ti.Struct(number=number, chunks=chunks, count=count, pose=pose, dt=dt)
-                    compute_forces(thread, launch)
+                    compute_forces(thread, chunks, launch)
 
     return step_on_gpu
 
 
 def _build_phases(state: State, integrate: Any, forces: Any) -> tuple[Any, Any]:
-    """Device functions (thread, launch) of the integration and of the forces; `launch`: arguments of the kernel."""
+    """Device functions (chunk, launch) of the integration and of the forces; `launch`: arguments of the kernel."""
     control, force_controlled = state.control, state.plan.features.force_controlled_walls
     move_walls = build_move_walls(state) if force_controlled else None
 
@@ -76,18 +80,4 @@ def _build_phases(state: State, integrate: Any, forces: Any) -> tuple[Any, Any]:
         forces(0, chunk, launch.count, launch.pose, launch.dt)
         record_halt(FORCES, launch.number)
 
-    return _on_each_chunk(state, move), _on_each_chunk(state, compute_forces)
-
-
-def _on_each_chunk(state: State, process: Any) -> Any:
-    """Device function (thread, launch) that calls another one, (chunk, launch), for each chunk of a thread."""
-    most_chunks = state.plan.capacities.chunks
-
-    @ti.func
-    def on_each_chunk(thread, launch):
-        chunk = thread
-        while chunk < launch.chunks:
-            process(chunk, launch)
-            chunk += LARGEST_DISPATCH
-
-    return process if most_chunks <= LARGEST_DISPATCH else on_each_chunk
+    return move, compute_forces

@@ -34,10 +34,6 @@ NO_PARTICLE = 2**31 - 1
 INTEGRATION, FORCES = range(2)
 """Phases of a step on a GPU that can halt the following launches."""
 
-LARGEST_DISPATCH = 2**22
-"""Largest number of threads of a loop on a GPU; if there are more tasks, each thread has several. Vulkan guarantees
-65 535 groups per dispatch, of 128 threads each."""
-
 NOT_HALTED = 2**31 - 1
 """Larger than the number of any launch on a GPU."""
 

@@ -6,7 +6,7 @@ import numpy as np
 from subprocess_runner import in_subprocess
 
 from granflow import start
-from granflow.engine import field_kernels
+from granflow.engine import dispatch, field_kernels
 from granflow.kernel_language import ti
 
 SHAPES = {"scalars": (20,), "rows": (4, 5)}
@@ -28,7 +28,7 @@ def wrong_entries():
     """Numbers of entries that are not copied and not cleared, for three largest numbers of threads."""
     start("cpu", "f64", 2)
     found = []
-    for field_kernels.LARGEST_DISPATCH in (1, 7, 2**22):
+    for dispatch.LARGEST_DISPATCH in (1, 7, 2**22):
         sources, targets = fields_and_values(0.0), fields_and_values(1.0)
         fields = [field for field, _ in targets]
         field_kernels.build_copy([field for field, _ in sources], fields)()

@@ -12,10 +12,9 @@ import pytest
 from gpu.scenes import SCENES
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend, field_kernels, gpu_step, gpu_stepper, limits
+from granflow.engine import backend, dispatch, gpu_stepper
 from granflow.engine.field_block import FieldBlock
 from granflow.engine.gpu_stepper import GPU_BATCH
-from granflow.engine.neighbor import phases
 from granflow.kernel_language import KERNELS
 from granflow.plan import plan as plan_module
 from granflow.plan.plan import Plan
@@ -41,14 +40,13 @@ def use_gpu_code_path():
     FieldBlock.__init__ = prepare_with_limit
 
 
-def results(name, as_on_gpu, free_memory=None, largest_dispatch=limits.LARGEST_DISPATCH):
+def results(name, as_on_gpu, free_memory=None, largest_dispatch=dispatch.LARGEST_DISPATCH):
     """Digest of all arrays at the end of a run, its totals (of a snapshot without arrays) and counts.
 
     free_memory:       bytes of the GPU, on which neighbor lists grow from one entry; None: they do not grow
     largest_dispatch:  largest number of threads of a loop
     """
-    for module in (phases, field_kernels, gpu_step):
-        module.LARGEST_DISPATCH = largest_dispatch
+    dispatch.LARGEST_DISPATCH = largest_dispatch
     if as_on_gpu:
         use_gpu_code_path()
     if free_memory is not None:

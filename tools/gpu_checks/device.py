@@ -74,10 +74,10 @@ def _gpu_bandwidth(count: int) -> dict[str, float]:
     """Bandwidth with coalesced access: neighboring threads access neighboring elements; `count` is a power of 2."""
     from benchmark import limits
 
-    from granflow.engine.limits import LARGEST_DISPATCH
+    from granflow.engine.dispatch import thread_count
     from granflow.kernel_language import ti
 
-    threads = min(count, LARGEST_DISPATCH)
+    threads = thread_count(count)
     builder = ti.FieldsBuilder()
     a, b, c = (ti.field(ti.f32) for _ in range(3))
     for field in (a, b, c):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from granflow.engine.control import CACHE_LINE
-from granflow.engine.limits import LARGEST_DISPATCH
+from granflow.engine.dispatch import build_tasks_of_thread, thread_count
 from granflow.engine.state import CPU_STRIDE, State
 from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.kernel_language import ti
@@ -81,7 +81,10 @@ def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
 
 def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     control, real, position_real = state.control, state.backend.real, state.backend.position_real
-    numbered = [*enumerate(phases)]
+    numbered = [
+        (number, phase, thread_count(phase.most), build_tasks_of_thread(phase.body, phase.most))
+        for number, phase in enumerate(phases)
+    ]
 
     @ti.kernel
     def rebuild_on_gpu(
@@ -89,18 +92,12 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
         pose: ti.i32
     ):  # fmt: skip
         control.running[0], control.list_length_needed[0] = 1, 0
-        for number, phase in ti.static(numbered):
+        for number, phase, threads, tasks_of_thread in ti.static(numbered):
             # A constant length: Taichi computes any other one in a dispatch of its own.
-            for thread in range(min(phase.most, LARGEST_DISPATCH)):
+            for thread in range(threads):
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
-                if number >= first and control.running[0] == 1 and thread < phase.count(rebuild):
-                    if ti.static(phase.most <= LARGEST_DISPATCH):
-                        phase.body(thread, rebuild)
-                    else:
-                        task = thread
-                        while task < phase.count(rebuild):
-                            phase.body(task, rebuild)
-                            task += LARGEST_DISPATCH
+                if number >= first and control.running[0] == 1:
+                    tasks_of_thread(thread, phase.count(rebuild), rebuild)
             if ti.static(phase.has_serial):
                 for _ in range(1):  # one task of the kernel
                     if number >= first and control.running[0] == 1:
