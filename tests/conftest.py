@@ -11,7 +11,14 @@ from granflow.engine import state_cache
 os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
 """Cache of compiled kernels: shared by all test processes, separate from the user's cache."""
 
-state_cache.restarts_for_structures = False
+os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parent.parent / ".pytest_cache" / "bytecode")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+"""Compiled modules for the subprocesses, also where the environment or the folder of the clone refuses them."""
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+"""Idle threads of numpy's linear algebra spin, at the cost of the other test processes."""
+
+state_cache.restarts_for_structures, state_cache.MOST_STATES = False, 100
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,15 @@ import sys
 
 PROGRAM = """
 import importlib.util, json, sys
-paths, file, name, arguments = json.loads(sys.argv[1])
+paths, file, name, calls = json.loads(sys.argv[1])
 sys.path[:] = paths
 spec = importlib.util.spec_from_file_location("in_subprocess", file)
 module = importlib.util.module_from_spec(spec)
 sys.modules["in_subprocess"] = module
 spec.loader.exec_module(module)
-result = getattr(module, name)(*arguments)
+results = [getattr(module, name)(*arguments) for arguments in calls]
 print()
-print(json.dumps(result))
+print(json.dumps(results))
 """
 
 
@@ -24,7 +24,15 @@ def in_subprocess(function, *arguments, seconds=200):
 
     Raises RuntimeError with the end of the subprocess's stderr if the function fails.
     """
-    call = json.dumps([sys.path, inspect.getfile(function), function.__name__, arguments])
+    return each_in_subprocess(function, [arguments], seconds)[0]
+
+
+def each_in_subprocess(function, calls, seconds=200):
+    """The results of a function for each tuple of arguments, one after the other in one process; see in_subprocess.
+
+    Runs with other numbers of threads or precisions restart Taichi; the process saves their imports.
+    """
+    call = json.dumps([sys.path, inspect.getfile(function), function.__name__, calls])
     done = subprocess.run([sys.executable, "-c", PROGRAM, call], capture_output=True, text=True, timeout=seconds)
     if done.returncode:
         raise RuntimeError(f"{function.__name__} failed in a subprocess:\n{done.stderr[-3000:]}")

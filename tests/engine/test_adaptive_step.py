@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from engine.test_bit_identity import ARRAYS, complex_scene
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.contact import theory
 from granflow.engine.threads import workers
@@ -110,7 +110,7 @@ def fingerprint(threads, in_parallel):
 
 
 def test_results_are_bit_identical_for_any_thread_count():
-    one, two = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint, 2, True)
+    one, two = each_in_subprocess(fingerprint, [(1, False), (2, True)])
     assert one[1] > 3 * STEPS_BETWEEN_UPDATES
     assert one == two
 

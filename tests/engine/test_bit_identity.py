@@ -17,7 +17,7 @@ from scene_builders import (
     run_to_end,
     vibrating_box,
 )
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.engine import backend
 from granflow.engine.threads import workers
@@ -51,37 +51,44 @@ def complex_scene():
     )  # fmt: skip
 
 
-def digest_of(last, *more):
-    """Digest of the particles of a snapshot and of further arrays."""
+def digest_of(last, *more, signed_zeros=True):
+    """Digest of the particles of a snapshot and of further arrays; zeros have their sign or none."""
     arrays = (*(np.ascontiguousarray(last.particles[name]) for name in ARRAYS), *more)
+    if not signed_zeros:
+        arrays = [each + 0.0 for each in arrays]
     return hashlib.sha256(b"".join(each.tobytes() for each in arrays)).hexdigest()
 
 
-def fingerprint(threads, in_parallel, precision="f64"):
-    """Digest of the final state, number of particles, of contacts and of neighbor-list rebuilds."""
-    if in_parallel:  # by default, a scene of this size uses one worker
-        workers.SINGLE_WORKER_PARTICLES = 0
-    if threads == MORE_THAN_POOL:
+def fingerprint(threads, workers_from, precision="f64", cores=None):
+    """Digest of the final state, number of particles, of contacts and of neighbor-list rebuilds.
+
+    workers_from:  number of particles from which several workers are used; by default, this scene uses one
+    cores:         number of cores of the process; None: all
+    """
+    workers.SINGLE_WORKER_PARTICLES = workers_from
+    if threads == MORE_THAN_POOL or cores:
         backend.worker_count = lambda requested: (requested, "")
+    if cores:
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     last, simulation = run_to_end(complex_scene(), threads=threads, precision=precision)
     counts = (last.totals["particle_count"], last.totals["contact_count"], simulation.engine.timing.rebuild_count)
     return [digest_of(last, *last.impulses.values(), *last.collisions.values()), *counts]
 
 
 def test_results_are_bit_identical_for_any_thread_count():
-    one, two, two_threads_one_worker = (
-        in_subprocess(fingerprint, *options) for options in ((1, False), (2, True), (2, False))
-    )
+    """Two threads with two workers and with one; more workers than threads in the pool; two workers on one core.
+
+    A worker that waits too long at a barrier leaves the launch and frees its thread, so no worker blocks it.
+    """
+    calls = [(1, 0), (2, 0), (2, 10**6), (MORE_THAN_POOL, 0)]
+    if hasattr(os, "sched_setaffinity"):
+        calls.append((2, 0, "f64", 1))
+    one, *others = each_in_subprocess(fingerprint, calls)
     _, particles, contacts, rebuilds = one
     assert particles == 316.0
     assert contacts > 20
     assert rebuilds > 20
-    assert one == two == two_threads_one_worker
-
-
-def test_more_workers_than_pool_threads_are_bit_identical():
-    """A worker that waits too long at a barrier leaves the launch and frees its thread, so no worker blocks it."""
-    assert in_subprocess(fingerprint, MORE_THAN_POOL, True) == in_subprocess(fingerprint, 1, False)
+    assert others == [one] * len(others)
 
 
 def models_fingerprint(threads, in_parallel):
@@ -97,20 +104,8 @@ def models_fingerprint(threads, in_parallel):
 
 
 def test_tangential_rolling_and_twisting_models_are_bit_identical_for_any_thread_count():
-    assert in_subprocess(models_fingerprint, 1, False) == in_subprocess(models_fingerprint, 2, True)
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs the CPU affinity of Linux")
-def test_two_workers_on_one_core_are_bit_identical():
-    one, shared = in_subprocess(fingerprint, 1, False), in_subprocess(fingerprint_on_one_core)
-    assert one == shared
-
-
-def fingerprint_on_one_core():
-    """Digest and counts of a run in which two workers share one core and leave launches often."""
-    backend.worker_count = lambda requested: (requested, "")
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    return fingerprint(2, True)
+    one, two = each_in_subprocess(models_fingerprint, [(1, False), (2, True)])
+    assert one == two
 
 
 def gpu_fingerprint(as_on_gpu):
@@ -160,7 +155,8 @@ def liquid_fingerprint(threads, in_parallel, as_on_gpu=False):
 
 
 def test_liquid_is_bit_identical_for_any_thread_count_and_on_the_gpu_code_path():
-    one, two, gpu = (in_subprocess(liquid_fingerprint, *each) for each in ((1, False), (2, True), (2, True, True)))
+    one, two = each_in_subprocess(liquid_fingerprint, [(1, False), (2, True)])
+    gpu = in_subprocess(liquid_fingerprint, 2, True, True)
     assert one[1] > 0.0
     assert one == two == gpu
 
@@ -168,7 +164,7 @@ def test_liquid_is_bit_identical_for_any_thread_count_and_on_the_gpu_code_path()
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["mixed", "f32"])
 def test_results_are_bit_identical_for_any_thread_count_in_lower_precision(precision):
-    one, two = in_subprocess(fingerprint, 1, False, precision), in_subprocess(fingerprint, 2, True, precision)
+    one, two = each_in_subprocess(fingerprint, [(1, 0, precision), (2, 0, precision)])
     assert one[1] == 316.0
     assert one == two
 

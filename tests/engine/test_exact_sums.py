@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane, run_to_end, vibrating_box
 from sheared_scenes import sheared_gas
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.engine.exact_sums import CARRY_BITS, build_to_grid, exact_sum, exact_totals
 from granflow.engine.threads import workers
@@ -91,9 +91,9 @@ def fingerprint(name, chunk_size, skin, threads, rebuild_steps, precision):
     ],
 )
 def test_neighbor_lists_do_not_change_the_bits(name, precision):
-    batched, many = in_subprocess(fingerprint, name, 64, 0.0004, 1, 0, precision, seconds=600)
-    others, few = in_subprocess(fingerprint, name, 37, 0.002, 2, 0, precision, seconds=600)
-    one_by_one, forced = in_subprocess(fingerprint, name, 1, 0.0013, 1, 30, precision, seconds=600)
+    settings = [(64, 0.0004, 1, 0), (37, 0.002, 2, 0), (1, 0.0013, 1, 30)]
+    found = each_in_subprocess(fingerprint, [(name, *each, precision) for each in settings], seconds=600)
+    (batched, many), (others, few), (one_by_one, forced) = found
     assert batched[1]["contact_count"] > 0.0 and batched[1]["friction_dissipation"] > 0.0
     assert many > 1.5 * few and forced > few
     assert others == batched

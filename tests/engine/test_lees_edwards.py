@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, neighbors_of, particle_group, prepared_simulation, run_to_end
 from sheared_scenes import RATE, SIZE, sheared_gas
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.engine.host_copy import copy_to_host
 from granflow.engine.threads import workers
@@ -114,6 +114,6 @@ def fingerprint(threads, precision):
     "precision", ["f64", *(pytest.param(each, marks=pytest.mark.slow) for each in ("mixed", "f32"))]
 )
 def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = (in_subprocess(fingerprint, threads, precision) for threads in (1, 2))
+    one, two = each_in_subprocess(fingerprint, [(threads, precision) for threads in (1, 2)])
     assert one == two
     assert one[2]

@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group, plane
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.errors import RunError
 from granflow.observers.interval import on_interval
@@ -89,8 +89,8 @@ def test_abort_before_the_first_step_writes_the_initial_state_if_finite(taichi_f
 
 
 def test_f32_run_aborts_where_positions_are_not_resolved():
-    assert in_subprocess(flight, 8186.0) == ""
-    message = in_subprocess(flight, 8191.0)
+    before, message = each_in_subprocess(flight, [(8186.0,), (8191.0,)])
+    assert before == ""
     assert "particle 0 (glass, 400 m/s)" in message
     assert (
         "where f32 resolves positions only to 0.000977 m; the required resolution is 0.1 of the smallest radius 0.005 m"

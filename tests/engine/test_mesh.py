@@ -8,7 +8,7 @@ import pytest
 from geometry.meshes import cube, sheet, tube, write
 from resume.runs import last_state
 from scene_builders import build_scene, particle_group, plane
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.engine import backend
 from granflow.engine.mesh import from_nearest, may_own, triangle_contact
@@ -156,7 +156,7 @@ def run_and_resume(folder, threads, precision):
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_results_are_bit_identical_for_any_thread_count_and_after_restart(tmp_path, precision):
     """Two moving meshes among planes, with friction, rolling springs and the energy budget."""
-    one, two = (in_subprocess(run_and_resume, str(tmp_path), n, precision, seconds=500) for n in (1, 2))
+    one, two = each_in_subprocess(run_and_resume, [(str(tmp_path), n, precision) for n in (1, 2)], seconds=1000)
     whole, resumed, contacts_and_rotation, energy_error = one
     assert whole == resumed
     assert one == two

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from resume.runs import files_of, states_of
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess
 
 from granflow.engine.threads import workers
 from granflow.io.checkpoint import read_checkpoint
@@ -86,7 +86,7 @@ def fingerprint(threads, precision):
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["f64", "mixed", "f32"])
 def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = in_subprocess(fingerprint, 1, precision), in_subprocess(fingerprint, 2, precision)
+    one, two = each_in_subprocess(fingerprint, [(1, precision), (2, precision)])
     assert one == two
     assert min(one[1]) > 5
 

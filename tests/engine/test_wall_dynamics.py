@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scene_builders import SOFT, box, build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
-from subprocess_runner import in_subprocess
+from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.contact import theory
 from granflow.engine.threads import workers
@@ -148,10 +148,7 @@ def test_servo_wall_holds_its_pressure_in_lower_precision(precision):
 
 @pytest.mark.parametrize("precision", ["f64", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_results_are_bit_identical_for_any_thread_count(precision):
-    one, two = (
-        in_subprocess(wall_results, precision, 1, 0.0015),
-        in_subprocess(wall_results, precision, 2, 0.0015, True),
-    )
+    one, two = each_in_subprocess(wall_results, [(precision, 1, 0.0015), (precision, 2, 0.0015, True)])
     assert one[0] > 1000.0, "the lid touches the particles"
     assert one == two
 
