@@ -43,48 +43,67 @@ def rectangle(motion, corner=(-0.02, -0.02, 0.0), sides=((0.06, 0.0, 0.0), (0.0,
 
 def scene_on(wall, position=(0.0, 0.0, HEIGHT), **parts):
     """A sphere at rest on a wall."""
+    return scene_of({"belt": wall}, [position], **parts)
+
+
+def scene_of(walls, positions, **parts):
+    """Spheres at rest on walls."""
     defaults = {
         "pair": {"friction": FRICTION, "restitution": 0.8}, "gravity": [0.0, 0.0, -GRAVITY],
         "run": {"duration": 1.5 * ROLLING, "velocity_max": 0.3},
         "output": {"interval": 1.0, "energy_budget": True, "wall_forces": True}, "materials": {"glass": STIFF},
     }  # fmt: skip
-    return build_scene({"ball": particle_group([position])}, walls={"belt": wall}, **(defaults | parts))
+    return build_scene({"balls": particle_group(positions)}, walls=walls, **(defaults | parts))
 
 
 @pytest.fixture
 def walls(tmp_path, monkeypatch):
-    """Belts of several shapes by name; the component of their velocity across the surface has no effect."""
+    """Belts of one plane, of three shapes side by side, and a moving plane, with a place on each.
+
+    The component of their velocity across the surface has no effect.
+    """
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "sheet.stl", *sheet(16, 0.05))
-    velocity = (SPEED, 0.0, 3.0)
+    motion = belt((SPEED, 0.0, 3.0))
+    rest = {"material": "glass", "motion": motion}
+    disc = {"shape": "disc", "center": [0, 0.1, 0], "normal": [0, 0, 1], "radius": 0.03} | rest
+    mesh = {"shape": "mesh", "file": "sheet.stl", "translate": [0.0, 0.2, 0.0]} | rest
     return {
-        "plane": plane([0, 0, 0], [0, 0, 1], motion=belt(velocity)),
-        "rectangle": rectangle(belt(velocity)),
-        "disc": {"shape": "disc", "center": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.03, "material": "glass",
-                 "motion": belt(velocity)},
-        "mesh": {"shape": "mesh", "file": "sheet.stl", "material": "glass", "motion": belt(velocity)},
-        "translation": plane([0, 0, 0], [0, 0, 1], motion={"kind": "translation", "velocity": [SPEED, 0.0, 0.0]}),
+        "plane": ({"plane": plane([0, 0, 0], [0, 0, 1], motion=motion)}, [0.0]),
+        "shapes": (
+            {"rectangle": rectangle(motion), "disc": disc, "mesh": mesh},
+            [0.0, 0.1, 0.2],
+        ),
+        "translation": (
+            {"plane": plane([0, 0, 0], [0, 0, 1], motion={"kind": "translation", "velocity": [SPEED, 0.0, 0.0]})},
+            [0.0],
+        ),
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("shape", ["plane", "rectangle", "disc", "mesh", "translation"])
-def test_a_sphere_on_a_belt_slips_and_then_rolls(walls, shape, taichi_f64):
-    """Until ROLLING it accelerates at mu g and its spin at (5/2) mu g / R; then u = (2/7) U and w R = -(5/7) U.
+@pytest.mark.parametrize("kind", ["plane", "shapes", "translation"])
+def test_spheres_on_belts_slip_and_then_roll(walls, kind, taichi_f64):
+    """Until ROLLING they accelerate at mu g and spin at (5/2) mu g / R; then u = (2/7) U and w R = -(5/7) U.
 
     The belt exerts mu m g, and its work is the transferred momentum times U, (2/7) m U^2. The mesh of 3 mm triangles is
     crossed along their edges.
     """
-    snapshots = run_and_sample(scene_on(walls[shape]), 0.5 * ROLLING)
+    belts, places = walls[kind]
+    snapshots = run_and_sample(scene_of(belts, [(0.0, y, HEIGHT) for y in places]), 0.5 * ROLLING)
     slipping, rolling = snapshots[1], snapshots[-1]
-    force = slipping.impulses["belt"][:3] / slipping.time
-    np.testing.assert_allclose(force, [-FRICTION * MASS * GRAVITY, 0.0, -MASS * GRAVITY], rtol=0.01, atol=1e-9)
-    velocity, angular_velocity = (rolling.particles[name][0] for name in ("velocity", "angular_velocity"))
-    np.testing.assert_allclose(velocity, [2 / 7 * SPEED, 0.0, 0.0], rtol=0.0, atol=RINGING)
-    np.testing.assert_allclose(RADIUS * angular_velocity, [0.0, -5 / 7 * SPEED, 0.0], rtol=0.0, atol=2.5 * RINGING)
-    assert rolling.totals["wall_work"] == pytest.approx(2 / 7 * MASS * SPEED**2, abs=MASS * SPEED * RINGING)
+    count = len(belts)
+    for name in belts:
+        force = slipping.impulses[name][:3] / slipping.time
+        np.testing.assert_allclose(force, [-FRICTION * MASS * GRAVITY, 0.0, -MASS * GRAVITY], rtol=0.01, atol=1e-9)
+        if kind != "translation":
+            np.testing.assert_array_equal(rolling.walls[name].offset, 0.0)
+    velocity, angular_velocity = (rolling.particles[name] for name in ("velocity", "angular_velocity"))
+    np.testing.assert_allclose(velocity, [[2 / 7 * SPEED, 0.0, 0.0]] * count, rtol=0.0, atol=RINGING)
+    expected = [[0.0, -5 / 7 * SPEED, 0.0]] * count
+    np.testing.assert_allclose(RADIUS * angular_velocity, expected, rtol=0.0, atol=2.5 * RINGING)
+    work = count * 2 / 7 * MASS * SPEED**2
+    assert rolling.totals["wall_work"] == pytest.approx(work, abs=count * MASS * SPEED * RINGING)
     assert abs(rolling.totals["energy_error"]) < 1e-3
-    if shape != "translation":
-        np.testing.assert_array_equal(rolling.walls["belt"].offset, 0.0)
 
 
 def test_a_sphere_rolls_on_a_belt_that_starts_slowly(taichi_f64):
