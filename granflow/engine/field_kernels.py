@@ -1,11 +1,18 @@
-"""Kernels on all fields of a block: fill them with zeros, copy them to longer ones."""
+"""Kernels on all fields of a block: fill them with zeros, copy them to longer ones, to the host and back.
+
+Loops over fields of any length: the `fill`, `to_numpy` and `from_numpy` of the kernel language fail on Vulkan above
+the largest dispatch.
+"""
 
 from collections.abc import Callable, Sequence
 from math import prod
 from typing import Any
 
+import numpy as np
+
 from granflow.engine.dispatch import build_tasks_of_thread, thread_count
-from granflow.engine.host_fields import components
+from granflow.engine.field_block import write_padded
+from granflow.engine.host_fields import components, memory_of
 from granflow.kernel_language import ti
 
 UNROLLED = 16
@@ -37,6 +44,48 @@ def build_copy(sources: Sequence[Any], targets: Sequence[Any]) -> Callable[[], N
         target[index] = source[index]
 
     return _on_all_entries([*zip(sources, targets, strict=True)], copy)
+
+
+def read_field(field: Any) -> np.ndarray:
+    """Values of all entries of a field, as from `to_numpy`."""
+    if memory_of(field) is not None:
+        return np.asarray(field.to_numpy())
+    values = _host_table(field)
+    _build_host_copy(field, True)(values)
+    return values.reshape(*field.shape, *([field.n] if hasattr(field, "n") else []))
+
+
+def write_field(field: Any, values: np.ndarray) -> None:
+    """Write values (k, ...), as from `read_field`, into the first k entries of a field, and zeros into the others."""
+    if memory_of(field) is not None:
+        write_padded(field, values)
+        return
+    padded = _host_table(field)
+    padded.reshape(-1)[: values.size] = values.reshape(-1)
+    _build_host_copy(field, False)(padded)
+
+
+def _host_table(field: Any) -> np.ndarray:
+    """Zeros (entries, components) of the type of a field."""
+    return np.zeros((prod(field.shape), len(components(field))), ti.lang.util.to_numpy_type(field.dtype))
+
+
+def _build_host_copy(field: Any, to_host: bool) -> Callable[[np.ndarray], None]:
+    """Kernel (table): copy all entries of a field to or from a table as of `_host_table`."""
+    scalars, index_of = [*enumerate(components(field))], _index_in(field.shape)
+    external: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def host_copy(table: external):
+        # The length is no constant: such a loop has as many threads as the device executes well.
+        for entry in range(table.shape[0]):
+            for c, scalar in ti.static(scalars):
+                if ti.static(to_host):
+                    table[entry, c] = scalar[index_of(entry)]
+                else:
+                    scalar[index_of(entry)] = table[entry, c]
+
+    return host_copy
 
 
 def _on_all_entries(pairs: Sequence[tuple[Any, Any]], process: Any) -> Callable[[], None]:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.exact_sums import canonical, chunk_words
+from granflow.engine.field_kernels import write_field
 from granflow.engine.state import State
 from granflow.errors import GranflowError
 from granflow.plan.device_arrays import DeviceArray, saved_arrays, sum_arrays, wall_dynamics_arrays
@@ -74,11 +75,8 @@ def refuse_other_names(saved: Mapping[str, Any], names: Mapping[str, Any]) -> No
 def _load(field: Any, array: DeviceArray, values: np.ndarray | None) -> None:
     """Write an array to a field; the sum over the chunks to the first chunk, and zeros to the others."""
     if array.by_chunk:
-        by_chunk = np.zeros(array.full_shape, np.int64)
-        if values is not None:
-            by_chunk[0] = values
-        values = by_chunk
-    field.from_numpy(values)
+        values = np.zeros((0, *array.full_shape[1:]), np.int64) if values is None else values[None]
+    write_field(field, np.asarray(values))
 
 
 def _sums(plan: Plan) -> dict[str, DeviceArray]:

@@ -9,8 +9,8 @@ import numpy as np
 from granflow.engine.backend import Backend
 from granflow.engine.clock import Clock
 from granflow.engine.control import Control
-from granflow.engine.field_block import FieldBlock, Fields, write_padded
-from granflow.engine.field_kernels import build_clear, build_copy
+from granflow.engine.field_block import FieldBlock, Fields
+from granflow.engine.field_kernels import build_clear, build_copy, read_field, write_field
 from granflow.engine.mesh_fields import fill_mesh
 from granflow.engine.pair_batch import PairBatch
 from granflow.engine.parameters import Parameters
@@ -201,11 +201,11 @@ class State:
         build:       builds the kernels; it may launch them on empty ranges, because the restored values overwrite their
                      output
         """
-        saved = [field.to_numpy() for field in self._block.fields]
+        saved = [read_field(field) for field in self._block.fields]
         self.free()
         self._allocate_grown(capacities, build)
         for field, values in zip(self._block.fields, saved, strict=True):
-            write_padded(field, values)
+            write_field(field, values)
         self.parameters.write(self.plan, capacities)
 
     def grow_on_device(self, capacities: Capacities, build: Callable[[], None]) -> None:

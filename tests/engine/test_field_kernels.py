@@ -39,6 +39,24 @@ def wrong_entries():
     return found
 
 
+def wrong_values():
+    """Numbers of values that differ after fields are read to the host, written to longer ones, and read again."""
+    start("cpu", "f64", 2)
+    wrong = 0
+    for field, values in fields_and_values(0.0):
+        longer = (2 * field.shape[0], *field.shape[1:])
+        target = ti.Vector.field(3, ti.f64, longer) if values.ndim > len(field.shape) else ti.field(ti.f64, longer)
+        target.fill(1.0)
+        field_kernels.write_field(target, field_kernels.read_field(field))
+        found = field_kernels.read_field(target)
+        wrong += int((found[: len(values)] != values).sum()) + int(np.count_nonzero(found[len(values) :]))
+    return wrong
+
+
+def test_fields_are_read_to_the_host_and_written_to_longer_ones():
+    assert in_subprocess(wrong_values) == 0
+
+
 def test_each_entry_is_copied_and_cleared():
     """In a process of its own: fields of a program prevent that other tests restart Taichi."""
     assert in_subprocess(wrong_entries) == [[0, 0]] * 3
