@@ -40,6 +40,11 @@ class NormalLaw(Law):
     limits_restitution: ClassVar[bool] = False
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
 
+    @property
+    def stiffness_of_onset(self) -> bool:
+        """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded later."""
+        return False
+
     def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
         """Values of `constant_names`: the effective moduli [Pa], by default followed by pair options.
 

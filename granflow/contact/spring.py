@@ -102,6 +102,11 @@ class SpringLaw(NormalLaw):
         """Whether the stiffness is set at first contact."""
         return self.spring.value is None
 
+    @property
+    def stiffness_of_onset(self) -> bool:
+        """Whether the stiffness follows from the velocity at first contact."""
+        return self.spring.value is None and not self.spring.is_fixed
+
     @ti.func
     def prepare(self, constants, contact, history):
         """Set the stiffness in the history at first contact."""

@@ -81,6 +81,8 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     force = max(observed, by_weight, by_wall)
     expected = static_overlap(plan.laws, touching, force)
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
+    if plan.laws.normal.stiffness_of_onset:
+        remedy = f"{_fixed_stiffness(plan)}, or {remedy}"
     by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
     if by_load < EXPLAINED * contact.overlap:
         return _moving_load(remedy, by_load)
@@ -89,6 +91,14 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
     less = ", lower the pressure" if pressing else ""
     return f"its cause is {cause}: {remedy}{less}."
+
+
+def _fixed_stiffness(plan: Plan) -> str:
+    """Instruction that makes all contacts as stiff as those at the planned velocity."""
+    return (
+        f"set contact.normal.stiffness to {{reference_velocity: {plan.velocity_max:.3g} m/s}}, because a contact that "
+        "begins slowly gets a soft spring with onset"
+    )
 
 
 def _moving_load(remedy: str, by_load: float) -> str:

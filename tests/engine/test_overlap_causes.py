@@ -104,6 +104,20 @@ def test_abort_names_its_cause_and_a_run_with_the_advised_modulus_passes(taichi_
     simulation.free()
 
 
+def test_contact_with_a_soft_spring_of_its_onset_advises_the_same_stiffness_for_all(taichi_f64):
+    """With Eq. 19 at the planned velocity, the spring is 6.3 = (1/0.01)^(2/5) times as stiff as the softest."""
+    onset = {"normal": {"law": "linear", "stiffness": "onset"}}
+    message = aborted(bed(2e6, contact=onset))
+    assert "because a contact that begins slowly gets a soft spring" in message
+    velocity = float(re.search(r"stiffness to {reference_velocity: ([\d.]+) m/s}", message).group(1))
+    simulation = Simulation(
+        bed(2e6, contact={"normal": {"law": "linear", "stiffness": {"reference_velocity": velocity}}})
+    )
+    simulation.run()
+    assert simulation.snapshot().totals["overlap_largest"] < 0.1
+    simulation.free()
+
+
 def test_impact_above_the_planned_velocity_advises_modulus_and_velocity(taichi_f64):
     """A higher velocity_max alone shortens the time step, but the overlap stays the same."""
     message = aborted(impact(1e6, velocity_max=0.5))
