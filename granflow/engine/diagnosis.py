@@ -27,7 +27,7 @@ from granflow.plan.forecast.contact import TouchingPair, impact_velocity
 from granflow.plan.plan import Plan
 from granflow.plan.time_step import PairCase, stable_step
 
-FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed")
+FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed", "clump")
 """Particle fields that the diagnosis reads."""
 
 TINY_MASS = 1e-300
@@ -94,8 +94,9 @@ def _fastest_wall(state: State) -> Body:
 def _body(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Body:
     """One particle as messages describe it; `index` in device order."""
     velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
+    clump = arrays["clump"][index] if "clump" in arrays else -1
     return Body(
-        f"particle {arrays['id'][index]}",
+        f"particle {arrays['id'][index]}{f' of clump {clump}' if clump >= 0 else ''}",
         plan.materials[material],
         _vector(velocity),
         _vector(arrays["position"][index]),

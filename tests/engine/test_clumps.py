@@ -9,7 +9,7 @@ from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.engine import backend
 from granflow.engine.threads import workers
-from granflow.errors import GranflowError
+from granflow.errors import GranflowError, RunError
 from granflow.geometry.quaternion import matrices
 from granflow.simulation import Simulation
 
@@ -175,6 +175,15 @@ def test_outlets_delete_whole_clumps(taichi_f64):
     assert last.particles["id"].tolist() == [4, 5, 6, 7]
     step, speed = snapshots[1].time / snapshots[1].step, np.sqrt(2 * 9.81 * 0.02)
     assert abs(last.totals["energy_error"]) < 9.81 * step / speed
+
+
+def test_an_abort_names_the_clumps_of_its_spheres(taichi_f64):
+    """Two rods of four spheres, side by side, overlap by a quarter of the radius; ids and clumps as in frames."""
+    rods = clump_group([[0.0, 0.0, 0.0], [0.0, 3.5e-3, 0.0]])
+    simulation = Simulation(build_scene({"rods": rods}, numerics={"max_overlap": 0.2}), threads=1)
+    with pytest.raises(RunError, match=r"particle \d of clump [04] \(.*overlaps with particle \d of clump [04] \("):
+        simulation.run()
+    simulation.free()
 
 
 def test_changes_from_python_are_refused(taichi_f64):
