@@ -1,0 +1,11 @@
+"""Ranks work with Taichi only, see `granflow.runs.ranks`."""
+
+import pytest
+
+from granflow.kernel_language import KERNELS
+
+
+@pytest.fixture(autouse=True)
+def taichi_only():
+    if KERNELS != "taichi":
+        pytest.skip(f"{KERNELS} does not work with --mpi")
