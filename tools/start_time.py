@@ -4,7 +4,8 @@
     python tools/start_time.py --out FILE.json
 
 Each start is a separate process; each scene has a separate cache folder (GRANFLOW_CACHE). The measured run is
-`Simulation.run` to the end of one step, with all files written and closed.
+`Simulation.run` to the end of one step, with all files written and closed. Modules are compiled to bytecode before, as
+pip does: where the environment prevents that (PYTHONDONTWRITEBYTECODE), each start takes 0.7 s more.
 """
 
 import argparse
@@ -102,6 +103,9 @@ def import_seconds() -> dict[str, float]:
 
 def measure(folder: Path) -> dict[str, Any]:
     """Measures all starts: each scene once cold, then WARM_STARTS times warm."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = str(folder / "bytecode")
+    import_seconds()  # writes the bytecode
     bed = folder / "bed.yaml"
     bed.write_text(BED)
     result: dict[str, Any] = {"kind": "start", "machine": machine(), "imports": import_seconds(), "starts": []}

@@ -41,7 +41,7 @@ class NormalLaw(Law):
     """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
 
     @property
-    def stiffness_of_onset(self) -> bool:
+    def softer_after_slow_onset(self) -> bool:
         """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded later."""
         return False
 

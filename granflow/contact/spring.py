@@ -103,7 +103,7 @@ class SpringLaw(NormalLaw):
         return self.spring.value is None
 
     @property
-    def stiffness_of_onset(self) -> bool:
+    def softer_after_slow_onset(self) -> bool:
         """Whether the stiffness follows from the velocity at first contact."""
         return self.spring.value is None and not self.spring.is_fixed
 

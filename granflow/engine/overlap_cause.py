@@ -81,7 +81,7 @@ def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
     force = max(observed, by_weight, by_wall)
     expected = static_overlap(plan.laws, touching, force)
     remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
-    if plan.laws.normal.stiffness_of_onset:
+    if plan.laws.normal.softer_after_slow_onset:
         remedy = f"{_fixed_stiffness(plan)}, or {remedy}"
     by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
     if by_load < EXPLAINED * contact.overlap:
