@@ -120,7 +120,8 @@ def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp
 
 
 DRIVER = f"""
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in background jobs, such as these tests
 from granflow.cli.main import main
 from granflow.studies.run_processes import run_worker
 run_worker.PROGRAM = (sys.executable, "-S", {str(Path(__file__).with_name("stand_in.py"))!r})
