@@ -8,10 +8,12 @@ import pytest
 from granflow import start
 from granflow.engine import state_cache
 
-os.environ.setdefault("GRANFLOW_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
+CACHE = Path(__file__).parent.parent / ".pytest_cache"
+
+os.environ.setdefault("GRANFLOW_CACHE", str(CACHE / "kernels"))
 """Cache of compiled kernels: shared by all test processes, separate from the user's cache."""
 
-os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parent.parent / ".pytest_cache" / "bytecode")
+os.environ["PYTHONPYCACHEPREFIX"] = str(CACHE / "bytecode")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 """Compiled modules for the subprocesses, also where the environment or the folder of the clone refuses them."""
 

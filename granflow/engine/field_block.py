@@ -108,11 +108,16 @@ def _size(dtype: Any) -> int:
     return int(np.dtype(ti.lang.util.to_numpy_type(dtype)).itemsize)
 
 
+def padded(field: Any, values: np.ndarray) -> np.ndarray:
+    """Values (k, ...), followed by zeros up to the length of a field, in its type."""
+    found = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
+    found[: len(values)] = values
+    return found
+
+
 def write_padded(field: Any, values: np.ndarray) -> None:
-    """Write values (k, ...) into the first k entries of a field, and zeros into the others."""
-    padded = np.zeros((field.shape[0], *values.shape[1:]), ti.lang.util.to_numpy_type(field.dtype))
-    padded[: len(values)] = values
-    field.from_numpy(padded)
+    """Write values (k, ...) into the first k entries of a short field, and zeros into the others."""
+    field.from_numpy(padded(field, values))
 
 
 class Fields:

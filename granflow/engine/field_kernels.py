@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from granflow.engine.dispatch import build_tasks_of_thread, thread_count
-from granflow.engine.field_block import write_padded
+from granflow.engine.field_block import padded
 from granflow.engine.host_fields import components, memory_of
 from granflow.kernel_language import ti
 
@@ -50,28 +50,27 @@ def read_field(field: Any) -> np.ndarray:
     """Values of all entries of a field, as from `to_numpy`."""
     if memory_of(field) is not None:
         return np.asarray(field.to_numpy())
-    values = _host_table(field)
+    values = np.zeros(_table_shape(field), ti.lang.util.to_numpy_type(field.dtype))
     _build_host_copy(field, True)(values)
     return values.reshape(*field.shape, *([field.n] if hasattr(field, "n") else []))
 
 
 def write_field(field: Any, values: np.ndarray) -> None:
-    """Write values (k, ...), as from `read_field`, into the first k entries of a field, and zeros into the others."""
+    """As `write_padded`, for fields of any length."""
+    all_values = padded(field, values)
     if memory_of(field) is not None:
-        write_padded(field, values)
-        return
-    padded = _host_table(field)
-    padded.reshape(-1)[: values.size] = values.reshape(-1)
-    _build_host_copy(field, False)(padded)
+        field.from_numpy(all_values)
+    else:
+        _build_host_copy(field, False)(all_values.reshape(_table_shape(field)))
 
 
-def _host_table(field: Any) -> np.ndarray:
-    """Zeros (entries, components) of the type of a field."""
-    return np.zeros((prod(field.shape), len(components(field))), ti.lang.util.to_numpy_type(field.dtype))
+def _table_shape(field: Any) -> tuple[int, int]:
+    """Numbers of entries and of components of a field."""
+    return prod(field.shape), len(components(field))
 
 
 def _build_host_copy(field: Any, to_host: bool) -> Callable[[np.ndarray], None]:
-    """Kernel (table): copy all entries of a field to or from a table as of `_host_table`."""
+    """Kernel (table): copy all entries of a field to or from a table (entries, components)."""
     scalars, index_of = [*enumerate(components(field))], _index_in(field.shape)
     external: Any = ti.types.ndarray()
 

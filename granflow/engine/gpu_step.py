@@ -48,7 +48,7 @@ def build_gpu_step(state: State, integrate: Any, forces: Any) -> Callable[..., N
         for thread in range(threads):
             if forcing == 1 and control.halted_at[INTEGRATION] > number:
                 if control.halted_at[FORCES] >= number:
-                    launch = ti.Struct(number=number, chunks=chunks, count=count, pose=pose, dt=dt)
+                    launch = ti.Struct(number=number, count=count, pose=pose, dt=dt)
                     compute_forces(thread, chunks, launch)
 
     return step_on_gpu

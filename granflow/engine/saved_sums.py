@@ -75,8 +75,9 @@ def refuse_other_names(saved: Mapping[str, Any], names: Mapping[str, Any]) -> No
 def _load(field: Any, array: DeviceArray, values: np.ndarray | None) -> None:
     """Write an array to a field; the sum over the chunks to the first chunk, and zeros to the others."""
     if array.by_chunk:
-        values = np.zeros((0, *array.full_shape[1:]), np.int64) if values is None else values[None]
-    write_field(field, np.asarray(values))
+        write_field(field, np.zeros((0, *array.full_shape[1:]), np.int64) if values is None else values[None])
+    else:
+        field.from_numpy(values)
 
 
 def _sums(plan: Plan) -> dict[str, DeviceArray]:

@@ -25,7 +25,7 @@ MOST_BYTES = 250_000_000
 """Device memory [bytes] of all kept states; a larger state is freed at its end."""
 
 restarts_for_structures = True
-"""Whether Taichi is restarted for a new structure. The tests, which alternate between few structures, keep states."""
+"""Whether Taichi is restarted for a new structure. The tests keep states instead."""
 
 _kept: list[State] = []
 _in_use: "weakref.WeakSet[State]" = weakref.WeakSet()
