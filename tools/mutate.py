@@ -69,11 +69,22 @@ def mutated(copy: Path, mutation: Mutation) -> Iterator[None]:
     """Applies a mutation to the copy and restores the file on exit."""
     path = copy / mutation.file
     text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+    write_later(path, text.replace(mutation.old, mutation.new))
     try:
         yield
     finally:
-        path.write_text(text, encoding="utf-8")
+        write_later(path, text)
+
+
+def write_later(path: Path, text: str) -> None:
+    """Replaces the text and sets a time of change 1 s or more after the previous one.
+
+    Python takes stored bytecode as valid if the size of the source and its time of change in whole seconds agree;
+    two mutations of equal length within one second would otherwise run the code of the first.
+    """
+    later = path.stat().st_mtime + 1.0
+    path.write_text(text, encoding="utf-8")
+    os.utime(path, (later, later))
 
 
 def status_of(copy: Path, mutation: Mutation, kernels: Path) -> str:
