@@ -39,7 +39,7 @@ def recovery_of(e):
     first = 0.8 * e * e
     share = 0.2 * e * e * e
     y = first
-    for _ in ti.static(range(NEWTON_STEPS)):
+    for _ in range(NEWTON_STEPS):  # not unrolled: several kernels contain it several times, and compile it slowly
         root = y * ti.sqrt(y)
         y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
     return y

@@ -17,7 +17,7 @@ of L . e_k, so that the step remains symplectic and of second order, without tri
 
 from typing import Any
 
-from granflow.engine.neighbor.phases import Phase, granularity, part_range
+from granflow.engine.neighbor.phases import Phase, granularity
 from granflow.engine.periodic_box import build_add_energy_gain, build_minimum_image, build_wrap, build_wrap_position
 from granflow.engine.state import State
 from granflow.kernel_language import ti
@@ -61,23 +61,23 @@ def half_turned(q, momentum, inertia, dt, axes: ti.template()):
 
 
 @ti.func
-def angular_velocity_of(q, momentum, inertia):
-    """Angular velocity [rad/s] in the frame of the scene of a clump with a unit quaternion q: R (R^T L / I)."""
-    rotation = scaled_rotation(q)
+def angular_velocity_of(rotation, momentum, inertia):
+    """Angular velocity [rad/s] in the frame of the scene of a clump with a rotation matrix R: R (R^T L / I)."""
     return rotation @ ((rotation.transpose() @ momentum) / inertia)
 
 
 def build_clump_sums(state: State) -> Any:
-    """Device function (i) -> (force [N], torque [N m] about the center of mass) of all contacts of the clump of i.
+    """Device function (i, rotation matrix) -> (force [N], torque [N m] about the center of mass) of the clump of i.
 
-    Reads:  force, torque, clump, clump_size, clump_offset, orientation, index_of_id
+    Sums over all contacts of its spheres.
+
+    Reads:  force, torque, clump, clump_size, clump_offset, index_of_id
     """
     particles, real = state.particles, state.backend.position_real
 
     @ti.func
-    def clump_sums(i):
+    def clump_sums(i, rotation):
         force_sum, torque_sum = ti.Vector.zero(real, 3), ti.Vector.zero(real, 3)
-        rotation = scaled_rotation(particles.orientation[i])
         for member in range(particles.clump_size[i]):
             j = particles.index_of_id[particles.clump[i] + member]
             force = ti.cast(particles.force[j], real)
@@ -95,7 +95,7 @@ def build_move_clump(state: State) -> Any:
     The velocity of a sphere is its displacement over the time step; its angular velocity is that of the clump at the
     half step. In a periodic box the center of mass is wrapped, but not yet the sphere.
 
-    Reads:   as `build_clump_sums`; clump_mass, clump_inertia
+    Reads:   as `build_clump_sums`; orientation, clump_mass, clump_inertia
     Writes:  clump_position, clump_velocity, clump_angular_momentum, orientation, position, velocity,
              velocity_synchronized, angular_velocity, boundary_work
     """
@@ -105,21 +105,23 @@ def build_move_clump(state: State) -> Any:
 
     @ti.func
     def move_clump(chunk, i, pose, dt):
-        force, torque = clump_sums(i)
         step, offset, q = ti.cast(dt, exact), particles.clump_offset[i], particles.orientation[i]
+        rotation = scaled_rotation(q)
+        force, torque = clump_sums(i, rotation)
         inertia = ti.cast(particles.clump_inertia[i], exact)
         kick = step * (force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact))
         velocity, momentum = particles.clump_velocity[i] + kick, particles.clump_angular_momentum[i] + step * torque
         q_half = half_turned(q, momentum, inertia, step, (2, 1, 0))
         q_new = half_turned(q_half, momentum, inertia, step, (0, 1, 2))
-        arm = scaled_rotation(q_new) @ offset
-        displacement = step * velocity + (arm - scaled_rotation(q) @ offset)
+        rotation_half, rotation_new = scaled_rotation(q_half), scaled_rotation(q_new)
+        arm = rotation_new @ offset
+        displacement = step * velocity + (arm - rotation @ offset)
         particles.clump_velocity[i], particles.clump_angular_momentum[i] = velocity, momentum
         particles.orientation[i] = q_new
         particles.velocity[i] = ti.cast(displacement / step, real)
-        particles.angular_velocity[i] = ti.cast(angular_velocity_of(q_half, momentum, inertia), real)
+        particles.angular_velocity[i] = ti.cast(angular_velocity_of(rotation_half, momentum, inertia), real)
         if ti.static(features.rate_dependent):
-            spin = angular_velocity_of(q_new, momentum + 0.5 * step * torque, inertia)
+            spin = angular_velocity_of(rotation_new, momentum + 0.5 * step * torque, inertia)
             particles.velocity_synchronized[i] = ti.cast(velocity + 0.5 * kick + spin.cross(arm), real)
         set_position(chunk, i, step * velocity, arm, displacement, pose, dt)
         return displacement
@@ -189,7 +191,7 @@ def build_integrate_clumps(state: State, request: Any, square_of_sums: Any) -> A
 def build_kick_clump(state: State) -> Any:
     """Device function (i, time [s]): change the copy of the state of a clump by the present forces.
 
-    Reads:   as `build_clump_sums`; clump_mass
+    Reads:   as `build_clump_sums`; orientation, clump_mass
     Writes:  clump_velocity, clump_angular_momentum
     """
     particles, exact, gravity = state.particles, state.backend.position_real, state.parameter("gravity")
@@ -197,7 +199,7 @@ def build_kick_clump(state: State) -> Any:
 
     @ti.func
     def kick_clump(i, time):
-        force, torque = clump_sums(i)
+        force, torque = clump_sums(i, scaled_rotation(particles.orientation[i]))
         kick = force / ti.cast(particles.clump_mass[i], exact) + ti.cast(gravity(), exact)
         particles.clump_velocity[i] = particles.clump_velocity[i] + ti.cast(time, exact) * kick
         particles.clump_angular_momentum[i] = particles.clump_angular_momentum[i] + ti.cast(time, exact) * torque
@@ -211,17 +213,12 @@ def index_phase(state: State) -> Phase:
     Reads:   id, clump_position
     Writes:  index_of_id, clump_position_at_rebuild
     """
-    particles, (most_parts, _) = state.particles, granularity(state)
+    particles, (per_task, _) = state.particles, granularity(state)
 
     @ti.func
-    def part_count(rebuild):
-        return ti.min(rebuild.count, most_parts)
-
-    @ti.func
-    def write(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        for i in range(begin, end):
+    def write(task: ti.template(), rebuild: ti.template()):
+        for i in range(task.begin, task.end):
             particles.index_of_id[particles.id[i]] = i
             particles.clump_position_at_rebuild[i] = particles.clump_position[i]
 
-    return Phase(part_count, write, state.cell_sort.order.shape[0])
+    return Phase(write, state.cell_sort.order.shape[0], per_task=per_task)

@@ -106,8 +106,8 @@ def build_list_shares(state: State) -> Any:
 
     @ti.func
     def list_shares(chunk, j):
-        shares, first = SHARES, chunk * chunk_size()
-        if j >= 0 and (j < first or j >= first + chunk_size()):
+        shares, size = SHARES, chunk_size()
+        if (j >= 0) & ((j < chunk * size) | (j >= (chunk + 1) * size)):
             shares = SHARES // 2
         return shares
 

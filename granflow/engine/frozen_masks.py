@@ -37,12 +37,11 @@ def build_contact_mass(state: State) -> Any:
     Reads:  mass, fixed, clump_mass
     """
     particles, real = state.particles, state.backend.real
+    mass_field = particles.clump_mass if state.plan.features.clumps else particles.mass
 
     @ti.func
     def contact_mass(i):
-        mass = particles.mass[i]
-        if ti.static(state.plan.features.clumps):
-            mass = particles.clump_mass[i]
+        mass = mass_field[i]
         if ti.static(state.plan.features.fixed_particles):
             mass *= ti.select(particles.fixed[i] == 1, ti.cast(FROZEN_MASS_FACTOR, real), ti.cast(1.0, real))
         return mass

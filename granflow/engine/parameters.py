@@ -36,12 +36,14 @@ class Parameters:
         for dtype, field in self._fields.items():
             field.from_numpy(values[dtype])
 
-    def reader(self, name: str) -> Any:
-        """Device function (): the value of a parameter, a number or a vector.
+    def reader(self, name: str, component: int | None = None) -> Any:
+        """Device function (): the value of a parameter, a number or a vector, or one component of a vector.
 
         Loops read a parameter once, before they begin: the compiler cannot know that no store changes it.
         """
         dtype, first, end = self._places[name]
+        if component is not None:
+            first, end = first + component, first + component + 1
         field, size = self._fields[dtype], end - first
 
         @ti.func

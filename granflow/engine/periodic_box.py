@@ -155,7 +155,7 @@ def build_wrap(state: State) -> Any:
     def is_outside(point):
         outside, lows, widths = False, low(), width()
         for axis in ti.static(axes):
-            outside = outside or ti.floor((point[axis] - lows[axis]) / widths[axis]) != 0.0
+            outside = outside | (ti.floor((point[axis] - lows[axis]) / widths[axis]) != 0.0)
         return outside
 
     @ti.func
@@ -191,7 +191,7 @@ def build_add_energy_gain(state: State) -> Any:
     Writes:  boundary_work
     """
     particles, control, sheared = state.particles, state.control, state.plan.periodic_box.image_motion is not None
-    gravity, per_unit = state.parameter("gravity"), state.parameter("per_unit")
+    gravity, per_unit = state.parameter("gravity"), state.parameter("per_unit", ENERGY)
 
     @ti.func
     def add_energy_gain(chunk, i, shift, velocity_shift, dt):
@@ -205,7 +205,7 @@ def build_add_energy_gain(state: State) -> Any:
             gained += mass * (
                 0.5 * velocity_shift_f64.dot(velocity_shift_f64) - velocity_synchronous.dot(velocity_shift_f64)
             )
-        add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit()[ENERGY], ti.f64) * gained)
+        add_energy(control.boundary_work, chunk, 0, 1, SHARES, ti.cast(per_unit(), ti.f64) * gained)
 
     return add_energy_gain
 

@@ -179,9 +179,9 @@ class State:
         """Rows in which the present particles sum the forces on walls."""
         return self.chunk_count if self.plan.chunk_size > 1 else self.capacities.wall_rows
 
-    def parameter(self, name: str) -> Any:
-        """Device function (): a parameter of the plan, see `Parameters`."""
-        return self.parameters.reader(name)
+    def parameter(self, name: str, component: int | None = None) -> Any:
+        """Device function (): a parameter of the plan, or one component of a vector, see `Parameters`."""
+        return self.parameters.reader(name, component)
 
     def built(self, build: Callable[..., Built], *options: Any) -> Built:
         """Return `build(state, *options)`, built at first use, and again after the fields have been reallocated.

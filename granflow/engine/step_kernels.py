@@ -72,23 +72,21 @@ class CpuSteps:
     @ti.func
     def work(self, launch: ti.template()):
         """Steps of one worker, until the launch ends or the worker leaves it."""
-        barrier_number, left = 0, 0
+        barrier_number, left, computes_forces = 0, 0, 1 - launch.moving
         while left == 0 and self.control.running[0] == 1:
-            pose_now = launch.pose + self.control.steps_done[0]
-            if launch.moving == 1:
-                chunk = self._next_chunk()
+            pose_now, chunk = launch.pose + self.control.steps_done[0], self._next_chunk()
+            if computes_forces == 0:
                 while chunk < launch.chunks:
                     self.integrate(chunk, launch.count, pose_now, launch.dt)
                     chunk = self._next_chunk()
-                barrier_number += 1
-                left = self._barrier(launch, barrier_number, 0)
-            if launch.forcing == 1 and left == 0 and self.control.running[0] == 1:
-                chunk = self._next_chunk()
+            else:
                 while chunk < launch.chunks:
                     self.forces(launch.worker, chunk, launch.count, pose_now, launch.dt)
                     chunk = self._next_chunk()
-                barrier_number += 1
-                left = self._barrier(launch, barrier_number, 1)
+            barrier_number += 1  # one barrier in the code for both phases: compiled once
+            left = self._barrier(launch, barrier_number, computes_forces)
+            if launch.moving == 1:
+                computes_forces = 1 - computes_forces
 
     @ti.func
     def _next_chunk(self):

@@ -46,7 +46,7 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
 
     Writes:  wall_force
     """
-    motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit")
+    motions, fields, per_unit = _motions(state), state.wall_dynamics, state.parameter("per_unit", WALL_FORCE)
     shared, rows = shares_rows(state), state.capacities.wall_rows
 
     @ti.func
@@ -60,7 +60,7 @@ def build_add_wall_force(state: State) -> tuple[Any, Any]:
         for r in ti.static(range(len(motions))):
             if w == motions[r].wall():
                 force_along = ti.cast(force, ti.f64).dot(motions[r].direction())
-                in_units = to_units(ti.cast(per_unit()[WALL_FORCE], ti.f64) * force_along)
+                in_units = to_units(ti.cast(per_unit(), ti.f64) * force_along)
                 if ti.static(shared):
                     ti.atomic_sub(fields.wall_force[chunk % rows, r], in_units)
                 else:
@@ -77,7 +77,11 @@ def build_move_walls(state: State) -> Any:
     """
     motions, fields, control = _motions(state), state.wall_dynamics, state.control
     displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
-    per_unit, shared, shared_rows = state.parameter("per_unit"), shares_rows(state), state.capacities.wall_rows
+    per_unit, shared, shared_rows = (
+        state.parameter("per_unit", WALL_FORCE),
+        shares_rows(state),
+        state.capacities.wall_rows,
+    )
 
     @ti.func
     def force_units(chunks, r: ti.template()):
@@ -105,7 +109,7 @@ def build_move_walls(state: State) -> Any:
         dt = ti.cast(dt_real, ti.f64)
         for r in ti.static(range(len(motions))):
             velocity = ti.cast(0.0, ti.f64)
-            force_on_wall = ti.cast(force_units(chunks, r), ti.f64) / ti.cast(per_unit()[WALL_FORCE], ti.f64)
+            force_on_wall = ti.cast(force_units(chunks, r), ti.f64) / ti.cast(per_unit(), ti.f64)
             if fields.active[pose, r] == 1:
                 velocity = _controlled_velocity(fields, motions[r], r, force_on_wall, dt)
                 _add_work(fields, motions[r], r, force_on_wall, velocity, dt)

@@ -96,7 +96,7 @@ def _build_attract(state: State) -> Any:
     features, to_grid, shift = (
         state.plan.features,
         build_to_grid(state.backend.real),
-        state.parameter("shift"),
+        state.parameter("shift", FORCE),
     )
     add_to_sums, return_liquid = build_add_to_sums(state), build_return_liquid(state)
     distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
@@ -114,7 +114,7 @@ def _build_attract(state: State) -> Any:
         if distance < contact_distance + constants.cohesion.range:
             overlap = ti.min(contact_distance - distance, 0.0)
             attraction = distant_force(chunk, i, list_index, j, overlap, dt)
-            force = to_grid(-attraction / distance * branch, shift()[FORCE])
+            force = to_grid(-attraction / distance * branch, shift())
             added = ti.cast(force, ti.f64)
             add_to_sums(worker, i, first, 0, added)
             if j >= first and j < last:

@@ -26,7 +26,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
     """
     features, wall_of, wall_work = state.plan.features, build_wall_of(state), _build_wall_work(state, with_wall)
     control, list_shares, add_boundary_work = state.control, build_list_shares(state), build_boundary_work(state)
-    per_unit = state.parameter("per_unit")
+    per_unit = state.parameter("per_unit", ENERGY)
     measured, loss_count = with_wall and features.wall_forces, len(LOSSES)
     force_controlled = with_wall and features.force_controlled_walls
     add_impulse = build_add_impulse(state) if measured else None
@@ -34,7 +34,7 @@ def build_add_to_accounting(state: State, with_wall: bool) -> Any:
 
     @ti.func
     def add_losses(chunk, shares, found, work):
-        per_joule = per_unit()[ENERGY]
+        per_joule = per_unit()
         for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
             add_energy(control.losses, chunk, loss, loss_count, shares, per_joule * found.losses[k])
         add_energy(control.losses, chunk, WALL_WORK, loss_count, shares, per_joule * work)

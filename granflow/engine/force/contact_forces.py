@@ -55,7 +55,8 @@ def _build_particle_forces(state: State) -> Any:
     Writes:  as `build_contact`
     """
     plan, neighbors, particles = state.plan, state.neighbors, state.particles
-    exact, batched, shift = holds_sums(state), state.batch is not None, state.parameter("shift")
+    exact, batched = holds_sums(state), state.batch is not None
+    shift, shift_torque = state.parameter("shift", FORCE), state.parameter("shift", TORQUE)
     to_grid = build_to_grid(state.backend.real)
     particle_contact = None if batched else build_contact(state, False)
     wall_contact = build_contact(state, True) if plan.has_walls else None
@@ -63,14 +64,14 @@ def _build_particle_forces(state: State) -> Any:
 
     @ti.func
     def add_contact(force, torque, force_sum, torque_sum):
-        force_added, torque_added = to_grid(force, shift()[FORCE]), to_grid(torque, shift()[TORQUE])
+        force_added, torque_added = to_grid(force, shift()), to_grid(torque, shift_torque())
         return force_sum + ti.cast(force_added, ti.f64), torque_sum + ti.cast(torque_added, ti.f64)
 
     @ti.func
     def particle_forces(chunk, i, acceleration, pose, dt):
         force_sum, torque_sum = ti.Vector.zero(ti.f64, 3), ti.Vector.zero(ti.f64, 3)
         if ti.static(exact):
-            force_sum = to_grid(particles.mass[i] * acceleration, shift()[FORCE])
+            force_sum = to_grid(particles.mass[i] * acceleration, shift())
             if ti.static(plan.features.clumps):  # the weight of a clump acts at its center of mass
                 force_sum *= ti.cast(particles.clump[i] < 0, ti.f64)
         if ti.static(plan.has_walls):

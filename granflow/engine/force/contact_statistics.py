@@ -93,7 +93,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
     real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), sums.n
     any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
     pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
-    per_unit, (with_film, with_bridge) = state.parameter("per_unit"), _build_liquid_sums(state)
+    per_unit, (with_film, with_bridge) = state.parameter("per_unit", ENERGY), _build_liquid_sums(state)
 
     @ti.kernel
     def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
@@ -106,7 +106,7 @@ def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> C
                 row = task // stride
                 found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
                 low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
-                per_joule, size = per_unit()[ENERGY], chunk_size()
+                per_joule, size = per_unit(), chunk_size()
                 for k in range(particles_of_row(row, rows, chunks, size, count)):
                     chunk = row + k // size * rows
                     i = chunk * size + k % size

@@ -84,7 +84,7 @@ def build_add_damping_loss(state: State) -> Any:
     Writes:  losses
     """
     particles, control, features = state.particles, state.control, state.plan.features
-    per_unit, loss_count = state.parameter("per_unit"), len(LOSSES)
+    per_unit, loss_count = state.parameter("per_unit", ENERGY), len(LOSSES)
 
     @ti.func
     def add_loss(chunk, i, dt):
@@ -93,7 +93,7 @@ def build_add_damping_loss(state: State) -> Any:
             angular_velocity = ti.cast(particles.angular_velocity[i], ti.f64)
             power += ti.cast(particles.damping_torque[i], ti.f64).dot(angular_velocity)
         # half of the loss in a step, as energies are in units / SHARES
-        value = -ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power
+        value = -ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
         add_energy(control.losses, chunk, DAMPING, loss_count, 1, value)
 
     return add_loss

@@ -84,13 +84,13 @@ def build_add_external_work(state: State) -> Any:
     Reads:   fixed
     Writes:  external_work
     """
-    control, per_unit, mobility = state.control, state.parameter("per_unit"), build_mobility(state)
+    control, per_unit, mobility = state.control, state.parameter("per_unit", ENERGY), build_mobility(state)
 
     @ti.func
     def add_work(chunk, i, force, velocity, dt):
         power = ti.cast(mobility(i), ti.f64) * ti.cast(force, ti.f64).dot(ti.cast(velocity, ti.f64))
         # half of the work in a step, as energies are in units / SHARES
-        value = ti.cast(per_unit()[ENERGY], ti.f64) * ti.cast(dt, ti.f64) * power
+        value = ti.cast(per_unit(), ti.f64) * ti.cast(dt, ti.f64) * power
         add_energy(control.external_work, chunk, 0, 1, 1, value)
 
     return add_work

@@ -113,16 +113,13 @@ def build_effective(state: State, with_wall: bool) -> Any:
     particles, contact_mass = state.particles, build_contact_mass(state)
 
     @ti.func
-    def inertia(i):
-        return 0.4 * contact_mass(i) * particles.radius[i] * particles.radius[i]
-
-    @ti.func
     def effective(i, j):
-        radius_eff, mass_eff, inertia_eff = particles.radius[i], contact_mass(i), inertia(i)
+        radius_eff, mass_eff = particles.radius[i], contact_mass(i)
+        inertia_eff = 0.4 * mass_eff * radius_eff * radius_eff
         if ti.static(not with_wall):
-            radius_eff = effective_value(radius_eff, particles.radius[j])
-            mass_eff = effective_value(mass_eff, contact_mass(j))
-            inertia_eff = effective_value(inertia_eff, inertia(j))
+            radius, mass = particles.radius[j], contact_mass(j)
+            radius_eff, mass_eff = effective_value(radius_eff, radius), effective_value(mass_eff, mass)
+            inertia_eff = effective_value(inertia_eff, 0.4 * mass * radius * radius)
         return ti.Struct(radius_eff=radius_eff, mass_eff=mass_eff, inertia_eff=inertia_eff)
 
     return effective
@@ -171,12 +168,13 @@ def build_boundary_work(state: State) -> Any:
     Writes:  boundary_work
     """
     list_shares, image_velocity, control = build_list_shares(state), build_image_velocity(state), state.control
-    per_unit, shift, to_grid = state.parameter("per_unit"), state.parameter("shift"), build_to_grid(state.backend.real)
+    per_unit, shift = state.parameter("per_unit", ENERGY), state.parameter("shift", FORCE)
+    to_grid = build_to_grid(state.backend.real)
 
     @ti.func
     def add_boundary_work(chunk, i, j, force, pose, dt):
-        rounded = to_grid(force, shift()[FORCE])
-        work = per_unit()[ENERGY] * dt * rounded.dot(image_velocity(i, j, pose))
+        rounded = to_grid(force, shift())
+        work = per_unit() * dt * rounded.dot(image_velocity(i, j, pose))
         add_energy(control.boundary_work, chunk, 0, 1, list_shares(chunk, j), work)
 
     return add_boundary_work

@@ -27,23 +27,18 @@ def bounds_phases(state: State) -> list[Phase]:
     sorting, lay_grids, bounds_of = state.cell_sort, build_lay_grids(state), _build_bounds_of(state)
 
     @ti.func
-    def part_count(rebuild):
-        return ti.min(rebuild.count, BOUNDS)
+    def bounds(task: ti.template(), rebuild: ti.template()):
+        low, high, reach = bounds_of(task.begin, task.begin, task.end, rebuild)
+        sorting.low[task.index], sorting.high[task.index], sorting.reach[task.index] = low, high, reach
 
     @ti.func
-    def bounds(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        low, high, reach = bounds_of(begin, begin, end, rebuild)
-        sorting.low[part], sorting.high[part], sorting.reach[part] = low, high, reach
-
-    @ti.func
-    def lay(rebuild):
+    def lay(rebuild: ti.template()):
         lay_grids(rebuild.count)
 
     if state.backend.on_cpu or sorting.subpart_low is None:
-        return [Phase(part_count, bounds, BOUNDS, lay)]
-    subpart_count, subpart_bounds, joined = _build_subparts(state, part_count, bounds_of)
-    return [Phase(subpart_count, subpart_bounds, BOUNDS * SUBPARTS), Phase(part_count, joined, BOUNDS, lay)]
+        return [Phase(bounds, BOUNDS, serial=lay)]
+    subpart_count, subpart_bounds, joined = _build_subparts(state, bounds_of)
+    return [Phase(subpart_bounds, BOUNDS * SUBPARTS, subpart_count, per_task=1), Phase(joined, BOUNDS, serial=lay)]
 
 
 def _build_bounds_of(state: State) -> Any:
@@ -57,10 +52,10 @@ def _build_bounds_of(state: State) -> Any:
     position = particles.position
 
     @ti.func
-    def bounds_of(first, begin, end, rebuild):
+    def bounds_of(first, begin, end, rebuild: ti.template()):
         smallest, largest, reach_largest, limit = position[first], position[first], 0.5 * rebuild.skin, reach_max()
         i = begin
-        while i < end and is_count(reach_largest):
+        while (i < end) & is_count(reach_largest):
             smallest, largest = ti.min(smallest, position[i]), ti.max(largest, position[i])
             speed = ti.cast(particles.velocity[i].norm(), real)
             reach = ti.min(0.5 * rebuild.skin + speed * rebuild.reach_time, limit)
@@ -74,24 +69,25 @@ def _build_bounds_of(state: State) -> Any:
     return bounds_of
 
 
-def _build_subparts(state: State, part_count: Any, bounds_of: Any) -> tuple[Any, Any, Any]:
+def _build_subparts(state: State, bounds_of: Any) -> tuple[Any, Any, Any]:
     """Device functions: number of subparts; bounds of a subpart; bounds of a part from those of its subparts."""
     sorting = state.cell_sort
 
     @ti.func
-    def subpart_count(rebuild):
-        return part_count(rebuild) * SUBPARTS
+    def subpart_count(rebuild: ti.template()):
+        return ti.min(rebuild.count, BOUNDS) * SUBPARTS
 
     @ti.func
-    def subpart_bounds(subpart, rebuild):
-        first, end = part_range(subpart // SUBPARTS, part_count(rebuild), rebuild.count)
+    def subpart_bounds(task: ti.template(), rebuild: ti.template()):
+        subpart = task.index
+        first, end = part_range(subpart // SUBPARTS, ti.min(rebuild.count, BOUNDS), rebuild.count)
         begin, last = part_range(subpart % SUBPARTS, SUBPARTS, end - first)
         low, high, reach = bounds_of(first, first + begin, first + last, rebuild)
         sorting.subpart_low[subpart], sorting.subpart_high[subpart], sorting.subpart_reach[subpart] = low, high, reach
 
     @ti.func
-    def joined(part, rebuild):
-        first = part * SUBPARTS
+    def joined(task: ti.template(), rebuild: ti.template()):
+        part, first = task.index, task.index * SUBPARTS
         low, high, reach = sorting.subpart_low[first], sorting.subpart_high[first], sorting.subpart_reach[first]
         for subpart in range(first + 1, first + SUBPARTS):
             low = ti.min(low, sorting.subpart_low[subpart])

@@ -47,7 +47,7 @@ def build_lay_grids(state: State) -> Any:
         parts = ti.min(count, BOUNDS)
         low, high, reach = sorting.low[0], sorting.high[0], sorting.reach[0]
         part = 0
-        while part < parts and is_count(reach):
+        while (part < parts) & is_count(reach):
             low, high = ti.min(low, sorting.low[part]), ti.max(high, sorting.high[part])
             reach = ti.max(reach, sorting.reach[part])
             part += 1
@@ -89,16 +89,16 @@ def _build_lay_grid(state: State) -> Any:
         box_low, box_high, is_coarse = low, high, True
         found_low, sides, cells = low, high - low, ti.Vector([0, 0, 0])
         attempt = 0
-        while is_coarse and attempt < 2:  # one call of `grid_over`, which is compiled once
+        while is_coarse & (attempt < 2):  # one call of `grid_over`, which is compiled once
             if attempt == 1:
                 box_low, box_high = within(parts, low, high)
             finer_low, finer_sides, finer_cells = grid_over(box_low, box_high, side, limit)
             finer_volume, volume = finer_sides[0] * finer_sides[1] * finer_sides[2], sides[0] * sides[1] * sides[2]
-            if attempt == 0 or finer_volume < VOLUME_RATIO * volume:
+            if (attempt == 0) | (finer_volume < VOLUME_RATIO * volume):
                 found_low, sides, cells = finer_low, finer_sides, finer_cells
             is_coarse, attempt = False, attempt + 1
             for axis in ti.static(other_axes):
-                is_coarse = is_coarse or sides[axis] > side
+                is_coarse = is_coarse | (sides[axis] > side)
         sorting.grid_low[grid], sorting.cell_side[grid], sorting.cells[grid] = found_low, sides, cells
         blocks = (cells + BLOCK_SIDE - 1) // BLOCK_SIDE
         sorting.cell_count[grid] = blocks[0] * blocks[1] * blocks[2] * BLOCK_CELLS
@@ -121,12 +121,12 @@ def _build_within(state: State) -> Any:
         begin, end = low, high  # at most `outliers` parts are below `begin`
         first, last = low, high  # at most `outliers` parts are above `last`
         below, above, bisection = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0]), 0
-        while bisection < bisections and is_count(below[0]):
+        while (bisection < bisections) & is_count(below[0]):
             bisection += 1
             middle_low, middle_high = 0.5 * (begin + end), 0.5 * (first + last)
             below, above = ti.Vector([0, 0, 0]), ti.Vector([0, 0, 0])
             part = 0
-            while part < parts and (below.min() <= outliers or above.min() <= outliers):
+            while (part < parts) & ((below.min() <= outliers) | (above.min() <= outliers)):
                 below += ti.cast(sorting.low[part] < middle_low, ti.i32)
                 above += ti.cast(sorting.high[part] > middle_high, ti.i32)
                 part += 1

@@ -7,7 +7,7 @@ from typing import Any
 
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
-from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count, task_count
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import SCAN_BLOCK
@@ -38,7 +38,7 @@ def sort_phases(state: State) -> list[Phase]:
         return particles.id[i]
 
     @ti.func
-    def count_of(rebuild):
+    def count_of(rebuild: ti.template()):
         return rebuild.count
 
     return _counting_sort(state, cell_of, cells_of_all, count_of, key, sorting.cell_start, sorting.order)
@@ -80,7 +80,7 @@ def class_phases(state: State) -> list[Phase]:
         return i
 
     @ti.func
-    def present_count(rebuild):
+    def present_count(rebuild: ti.template()):
         present = rebuild.count
         if ti.static(not has_ghosts):
             present = sorting.cell_start[sorting.cell_count[0]]
@@ -106,50 +106,50 @@ def _counting_sort(
 
     Writes:  start, order, coordination_number (the cell of each particle until it is placed), block_sum
     """
-    most_parts, cells_per_task = granularity(state)
+    particles_per_task, cells_per_task = granularity(state)
     most_cells, most_particles = start.shape[0], order.shape[0]
 
     @ti.func
-    def part_count(rebuild):
-        return ti.min(count_of(rebuild), most_parts)
+    def cells_to_order(rebuild: ti.template()):
+        return cells_of_all()
 
     @ti.func
-    def task_count(rebuild):
-        return (cells_of_all() + 2 + cells_per_task - 1) // cells_per_task
+    def counts_of_cells(rebuild: ti.template()):
+        return cells_of_all() + 2
 
-    clear, order_cells = _build_cell_tasks(cells_per_task, cells_of_all, key, start, order)
-    count_particles, place = _build_particle_parts(state, part_count, count_of, cell_of, cells_of_all, start, order)
+    clear, order_cells = _build_cell_tasks(key, start, order)
+    count_particles, place = _build_particle_parts(state, count_of, cell_of, cells_of_all, start, order)
     return [
-        Phase(task_count, clear, most_cells),
-        Phase(part_count, count_particles, most_particles),
-        *_scan_phases(state, cells_of_all, start),
-        Phase(part_count, place, most_particles),
-        Phase(task_count, order_cells, most_cells),
+        Phase(clear, most_cells, counts_of_cells, cells_per_task),
+        Phase(count_particles, most_particles, count_of, particles_per_task),
+        *_scan_phases(state, counts_of_cells, start),
+        Phase(place, most_particles, count_of, particles_per_task),
+        Phase(order_cells, most_cells, cells_to_order, cells_per_task),
     ]
 
 
-def _build_cell_tasks(cells_per_task: int, cells_of_all: Any, key: Any, start: Any, order: Any) -> tuple[Any, Any]:
+def _build_cell_tasks(key: Any, start: Any, order: Any) -> tuple[Any, Any]:
     """Device functions (task, rebuild): set the counts of some cells to 0; order their particles by key."""
 
     @ti.func
-    def clear(task, rebuild):
-        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all() + 2)):
+    def clear(task: ti.template(), rebuild: ti.template()):
+        for c in range(task.begin, task.end):
             start[c] = 0
 
     # The ranks of the atomic additions depend on the threads; ordering each cell by key removes that. The cell of the
     # deleted particles can hold many of them: the host orders these.
     @ti.func
-    def order_cells(task, rebuild):
-        for c in range(task * cells_per_task, ti.min((task + 1) * cells_per_task, cells_of_all())):
+    def order_cells(task: ti.template(), rebuild: ti.template()):
+        for c in range(task.begin, task.end):
             _order_by_key(order, key, start[c], start[c + 1])
 
     return clear, order_cells
 
 
 def _build_particle_parts(
-    state: State, part_count: Any, count_of: Any, cell_of: Any, cells_of_all: Any, start: Any, order: Any
+    state: State, count_of: Any, cell_of: Any, cells_of_all: Any, start: Any, order: Any
 ) -> tuple[Any, Any]:
-    """Device functions (part, rebuild): count some particles in their cells; place them there.
+    """Device functions (task, rebuild): count some particles in their cells; place them there.
 
     Cells are filled from their ends, so that the last particles are placed first: a cell that is nearly in order takes
     the least time to sort.
@@ -157,70 +157,65 @@ def _build_particle_parts(
     cells = state.particles.coordination_number
 
     @ti.func
-    def count_particles(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), count_of(rebuild))
-        cell, i = 0, begin
-        while i < end and is_count(cell):
+    def count_particles(task: ti.template(), rebuild: ti.template()):
+        cell, i = 0, task.begin
+        while (i < task.end) & is_count(cell):
             cell = cell_of(i, cells_of_all())
             cells[i] = cell
             ti.atomic_add(start[cell], 1)
             i += 1
 
     @ti.func
-    def place(part, rebuild):
-        parts = part_count(rebuild)
-        begin, end = part_range(parts - 1 - part, parts, count_of(rebuild))
-        cell, i = 0, end - 1
-        while i >= begin and is_count(cell):
+    def place(task: ti.template(), rebuild: ti.template()):
+        last = count_of(rebuild) - 1
+        cell, k = 0, task.begin
+        while (k < task.end) & is_count(cell):
+            i = last - k
             cell = cells[i]
             order[ti.atomic_sub(start[cell], 1) - 1] = i
-            i -= 1
+            k += 1
 
     return count_particles, place
 
 
-def _scan_phases(state: State, cells_of_all: Any, start: Any) -> list[Phase]:
-    """Phases that replace the counts of the cells in `start` by their sums up to and including each cell."""
+def _scan_phases(state: State, counts_of_cells: Any, start: Any) -> list[Phase]:
+    """Phases that replace the counts of the cells in `start` by their sums up to and including each cell.
+
+    counts_of_cells:  device function (rebuild), number of counts
+    """
     sorting, most_blocks = state.cell_sort, state.cell_sort.block_sum.shape[0]
 
     @ti.func
-    def block_count(rebuild):
-        return (cells_of_all() + 2 + SCAN_BLOCK - 1) // SCAN_BLOCK
-
-    @ti.func
-    def range_of(block):
-        return block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, cells_of_all() + 2)
-
-    @ti.func
-    def sum_block(block, rebuild):
-        begin, end = range_of(block)
-        total, c = 0, begin
-        while c < end and is_count(total):
+    def sum_block(task: ti.template(), rebuild: ti.template()):
+        total, c = 0, task.begin
+        while (c < task.end) & is_count(total):
             total += start[c]
             c += 1
-        sorting.block_sum[block] = total
+        sorting.block_sum[task.index] = total
 
     @ti.func
-    def sum_blocks(rebuild):
-        total = 0
+    def sum_blocks(rebuild: ti.template()):
+        total, blocks = 0, task_count(counts_of_cells(rebuild), SCAN_BLOCK)
         block = 0
-        while block < block_count(rebuild) and is_count(total):
+        while (block < blocks) & is_count(total):
             here = sorting.block_sum[block]
             sorting.block_sum[block] = total
             total += here
             block += 1
 
     @ti.func
-    def scan_block(block, rebuild):
-        begin, end = range_of(block)
-        total = sorting.block_sum[block]
-        c = begin
-        while c < end and is_count(total):
+    def scan_block(task: ti.template(), rebuild: ti.template()):
+        total = sorting.block_sum[task.index]
+        c = task.begin
+        while (c < task.end) & is_count(total):
             total += start[c]
             start[c] = total
             c += 1
 
-    return [Phase(block_count, sum_block, most_blocks, sum_blocks), Phase(block_count, scan_block, most_blocks)]
+    return [
+        Phase(sum_block, most_blocks, counts_of_cells, SCAN_BLOCK, sum_blocks),
+        Phase(scan_block, most_blocks, counts_of_cells, SCAN_BLOCK),
+    ]
 
 
 @ti.func

@@ -137,12 +137,12 @@ def build_add_plastic_loss(state: State) -> Any:
     Writes:  losses
     """
     control, list_shares, energy_budget = state.control, build_list_shares(state), state.plan.features.energy_budget
-    per_unit, loss_count = state.parameter("per_unit"), len(LOSSES)
+    per_unit, loss_count = state.parameter("per_unit", ENERGY), len(LOSSES)
 
     @ti.func
     def add_plastic_loss(chunk, j, energy_lost):
         if ti.static(energy_budget):
-            value = per_unit()[ENERGY] * energy_lost
+            value = per_unit() * energy_lost
             add_energy(control.losses, chunk, PLASTIC, loss_count, list_shares(chunk, j), value)
 
     return add_plastic_loss

@@ -96,9 +96,9 @@ def _build_remains(state: State) -> Any:
         inside, lows, highs = radius > REMOVED_BELOW, low(), high()
         for axis in ti.static(range(3)):
             if ti.static(axis in unchecked_axes):
-                inside = inside and p[axis] == p[axis]  # false for NaN
+                inside = inside & (p[axis] == p[axis])  # false for NaN
             else:
-                inside = inside and p[axis] >= lows[axis] and p[axis] <= highs[axis]
+                inside = inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
         if ti.static(state.plan.features.outlets):
             inside = inside and not (in_outlet(p) and fixed == 0)
         return inside
@@ -122,7 +122,7 @@ def _build_in_box(state: State, index: int) -> Any:
     def in_box(p):
         is_inside, lows, highs = True, low(), high()
         for axis in ti.static(range(3)):
-            is_inside = is_inside and p[axis] >= lows[axis] and p[axis] <= highs[axis]
+            is_inside = is_inside & (p[axis] >= lows[axis]) & (p[axis] <= highs[axis])
         return is_inside
 
     return in_box

@@ -30,7 +30,7 @@ def build_save_history(state: State) -> Any:
     @ti.func
     def entries_in_contact(i):
         count, list_index = 0, neighbors.list_begin[i]
-        while list_index < neighbors.list_end[i] and is_count(count):
+        while (list_index < neighbors.list_end[i]) & is_count(count):
             count += ti.cast(neighbors.in_contact[list_index] == 1, ti.i32)
             list_index += 1
         return count
@@ -54,10 +54,10 @@ def build_save_history(state: State) -> Any:
             limit += begin
         saved_index = begin
         i = first
-        while i < last and is_count(saved_index):
+        while (i < last) & is_count(saved_index):
             neighbors.list_begin_before[i] = saved_index
             list_index = neighbors.list_begin[i]
-            while list_index < neighbors.list_end[i] and is_count(saved_index):
+            while (list_index < neighbors.list_end[i]) & is_count(saved_index):
                 if neighbors.in_contact[list_index] == 1:
                     if saved_index < limit:
                         save_entry(list_index, saved_index)
@@ -82,20 +82,23 @@ def build_restore_history(state: State) -> Any:
     Writes:  history, in_contact
     """
     neighbors, source_of, names = state.neighbors, _build_source(state), list(state.neighbors.history)
-    is_vector = {name: vector_components(state, name) for name in names}
+    components = [
+        (name, k, changes_sign) for name in names for k, changes_sign in enumerate(vector_components(state, name))
+    ]
 
     @ti.func
     def restore_history(list_index, i, j):
         source, sign = source_of(i, j)
         neighbors.in_contact[list_index] = ti.cast(source >= 0, ti.i32)
-        for name in ti.static(names):
-            neighbors.history[name][list_index] = 0.0 * neighbors.history[name][list_index]
-            if source >= 0:
-                for k, changes_sign in ti.static(enumerate(is_vector[name])):
-                    value = neighbors.saved[name][source][k]
-                    if ti.static(changes_sign):
-                        value = sign * value
-                    neighbors.history[name][list_index][k] = value
+        if source >= 0:
+            for name, k, changes_sign in ti.static(components):
+                value = neighbors.saved[name][source][k]
+                if ti.static(changes_sign):
+                    value = sign * value
+                neighbors.history[name][list_index][k] = value
+        else:
+            for name, k, _ in ti.static(components):
+                neighbors.history[name][list_index][k] = 0.0
 
     return restore_history
 
@@ -111,36 +114,37 @@ def _build_source(state: State) -> Any:
     def find_saved(row, partner):
         """Index in `saved` of a partner of the particle `row`; -1 if none."""
         found, list_index = -1, neighbors.list_begin_before[row]
-        while found < 0 and list_index < neighbors.list_end_before[row]:
+        while (found < 0) & (list_index < neighbors.list_end_before[row]):
             if neighbors.partner_saved[list_index] == partner:
                 found = list_index
             list_index += 1
         return found
 
     @ti.func
+    def find_either(row, partner, row_other, partner_other, has_other):
+        """Search of the list of one particle, then of the other one; one call of `find_saved`, compiled once."""
+        source, sign, row_now, partner_now, attempt = -1, 1.0, row, partner, 0
+        while (source < 0) & (attempt <= has_other):
+            if attempt == 1:
+                sign, row_now, partner_now = -1.0, row_other, partner_other
+            source = find_saved(row_now, partner_now)
+            attempt += 1
+        return source, sign
+
+    @ti.func
     def source_before_sort(i, j):
-        i_before = sorting.order[i]
-        j_before = j
+        i_before, j_before, same_chunk = sorting.order[i], j, 0
         if j >= 0:
             j_before = sorting.order[j]
-        source = find_saved(i_before, j_before)
-        sign = 1.0
-        if source < 0 and j >= 0 and i_before // chunk_size() == j_before // chunk_size():
-            source = find_saved(j_before, i_before)
-            sign = -1.0
-        return source, sign
+            same_chunk = ti.cast(i_before // chunk_size() == j_before // chunk_size(), ti.i32)
+        return find_either(i_before, j_before, j_before, i_before, same_chunk)
 
     @ti.func
     def source_by_id(i, j):
         """As `source_before_sort`, on MPI ranks."""
-        partner = j
+        partner, is_particle = j, ti.cast(j >= 0, ti.i32)
         if j >= 0:
             partner = state.particles.id[j]
-        source = find_saved(i, partner)
-        sign = 1.0
-        if source < 0 and j >= 0:
-            source = find_saved(j, state.particles.id[i])
-            sign = -1.0
-        return source, sign
+        return find_either(i, partner, j, state.particles.id[i], is_particle)
 
     return source_by_id if state.plan.has_ghosts else source_before_sort

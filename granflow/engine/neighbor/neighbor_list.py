@@ -50,10 +50,10 @@ def fill_phase(state: State) -> Phase:
     fill = _build_fill_one(state) if state.plan.chunk_size == 1 else _build_fill(state, present_count)
 
     @ti.func
-    def chunk_count(rebuild):
+    def chunk_count(rebuild: ti.template()):
         return (present_count(rebuild) + chunk_size() - 1) // chunk_size()
 
-    return Phase(chunk_count, fill, state.plan.capacities.chunks, _build_finish(state, present_count))
+    return Phase(fill, state.plan.capacities.chunks, chunk_count, 1, _build_finish(state, present_count))
 
 
 def _build_present_count(state: State) -> Any:
@@ -61,7 +61,7 @@ def _build_present_count(state: State) -> Any:
     sorting, has_ghosts = state.cell_sort, state.plan.has_ghosts
 
     @ti.func
-    def present_count(rebuild):
+    def present_count(rebuild: ti.template()):
         present = 0
         if rebuild.count > 0:
             if ti.static(has_ghosts):
@@ -74,7 +74,7 @@ def _build_present_count(state: State) -> Any:
 
 
 def _build_fill(state: State, present_count: Any) -> Any:
-    """Device function (chunk, rebuild): fill the neighbor lists of a chunk, see `fill_phase`."""
+    """Device function (task, rebuild): fill the neighbor lists of a chunk, see `fill_phase`."""
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     chunk_size, list_capacity = state.parameter("chunk_size"), state.parameter("list_capacity")
     lists, longest_allowed = NeighborListFill(state), NO_LIMIT
@@ -82,9 +82,9 @@ def _build_fill(state: State, present_count: Any) -> Any:
         longest_allowed = state.batch.longest_list
 
     @ti.func
-    def fill(chunk, rebuild):
-        first, end = chunk * chunk_size(), (chunk + 1) * chunk_size()
-        begin = chunk * list_capacity()
+    def fill(task: ti.template(), rebuild: ti.template()):
+        first, end = task.index * chunk_size(), (task.index + 1) * chunk_size()
+        begin = task.index * list_capacity()
         limit, list_index, longest = begin + list_capacity(), begin, 0
         for i in range(first, ti.min(end, present_count(rebuild))):
             particles.position_at_rebuild[i] = particles.position[i]
@@ -103,12 +103,13 @@ def _build_fill(state: State, present_count: Any) -> Any:
 
 
 def _build_fill_one(state: State) -> Any:
-    """Device function (i, rebuild): fill the neighbor list of one particle, see `fill_phase`."""
+    """Device function (task, rebuild): fill the neighbor list of one particle, see `fill_phase`."""
     particles, neighbors, control, sorting = state.particles, state.neighbors, state.control, state.cell_sort
     lists, list_capacity = NeighborListFill(state), state.parameter("list_capacity")
 
     @ti.func
-    def fill_one(i, rebuild):
+    def fill_one(task: ti.template(), rebuild: ti.template()):
+        i = task.index
         particles.position_at_rebuild[i] = particles.position[i]
         begin, end, limit = 0, 0, 0
         for _ in range(2):  # a limit of 0 counts the entries
@@ -129,7 +130,7 @@ def _build_finish(state: State, present_count: Any) -> Any:
     control, sorting, can_halt = state.control, state.cell_sort, state.control.halted_at is not None
 
     @ti.func
-    def finish(rebuild):
+    def finish(rebuild: ti.template()):
         sorting.present[0] = present_count(rebuild)
         control.rebuild_due[0] = 0
         control.rebuild_requested[0] = 0
@@ -157,11 +158,8 @@ class NeighborListFill:
         self.gradient = -1 if periodic_box.image_motion is None else periodic_box.image_motion.gradient
         self.periodic = periodic_box.axes
         self.periodic_unsheared = tuple(axis for axis in periodic_box.axes if axis != self.gradient)
-        self.geometry, self.can_touch, self.wall_count = (
-            WallGeometry(state),
-            build_can_touch(state),
-            state.parameter("wall_count"),
-        )
+        self.geometry, self.can_touch = WallGeometry(state), build_can_touch(state)
+        self.wall_count = state.parameter("wall_count")
         self.domain_low, self.domain_high, self.force_range = (
             state.parameter(name) for name in ("domain_low", "domain_high", "force_range")
         )
@@ -240,9 +238,9 @@ class NeighborListFill:
     def _append_cells(self, owner: ti.template(), list_index, grid, first, end, image):
         """Append partners from a range of cells of a grid."""
         list_end, cells, z = list_index, self.sorting.cells[grid], first[2]
-        while z < end[2] and is_count(list_end):
+        while (z < end[2]) & is_count(list_end):
             y = first[1]
-            while y < end[1] and is_count(list_end):
+            while (y < end[1]) & is_count(list_end):
                 x = first[0]
                 while x < end[0]:
                     cell = wrapped_cell(self.periodic, ti.Vector([x, y, z]), cells)
@@ -261,12 +259,12 @@ class NeighborListFill:
         if ti.static(self.by_class):
             begin = self.sorting.first_cell[grid] + cell
             k = self.sorting.class_start[begin]
-            while k < self.sorting.class_start[begin + count] and is_count(list_end):
+            while (k < self.sorting.class_start[begin + count]) & is_count(list_end):
                 list_end = self._append_if_near(owner, list_end, self.sorting.class_order[k], image)
                 k += 1
         else:
             k = self.sorting.cell_start[cell]
-            while k < self.sorting.cell_start[cell + count] and is_count(list_end):
+            while (k < self.sorting.cell_start[cell + count]) & is_count(list_end):
                 list_end = self._append_if_near(owner, list_end, k, image)
                 k += 1
         return list_end
@@ -285,7 +283,7 @@ class NeighborListFill:
         """
         list_end, i, is_nearest_image = list_index, owner.i, True
         # A half list within a chunk, a full list across chunks: no two workers write to the same particle.
-        if j > i or j < owner.first or j >= owner.end:
+        if (j > i) | (j < owner.first) | (j >= owner.end):
             position, partner_position = self.particles.position[i], self.particles.position[j]
             branch = self.minimum_image(position, partner_position, owner.pose)
             reach = self.particles.radius[i] + self.particles.radius[j] + self.force_range()

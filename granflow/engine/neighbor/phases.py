@@ -15,15 +15,12 @@ from granflow.engine.threads.barrier import arrive, release, wait
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 
-
-@ti.func
-def _nothing(rebuild):
-    """The serial part of most phases."""
-    pass
+EVENLY = 0
+"""Entries per task of a phase that distributes its entries evenly over at most BOUNDS tasks."""
 
 
 @ti.func
-def is_count(number):
+def is_count(number: ti.template()):
     """True for all counts and indices, which the compiler does not know.
 
     A loop that ends where a number from memory is no count is neither unrolled nor vectorized. Unrolled eight times,
@@ -36,26 +33,46 @@ def is_count(number):
 class Phase:
     """Device functions of a phase; `rebuild` is a struct with the arguments of the launch, see `build_rebuild`.
 
-    count:   (rebuild): number of tasks
-    body:    (task, rebuild): one task
-    most:    largest number of tasks; on a GPU the length of the loop
-    serial:  (rebuild): after all tasks, on one thread
+    body:      (task, rebuild): one task, a struct of its `index` and its entries `begin` to `end`, exclusive
+    most:      largest number of tasks; on a GPU the length of the loop
+    count:     (rebuild): number of entries; None: the particles
+    per_task:  entries of a task, or EVENLY
+    serial:    (rebuild): after all tasks, on one thread; None: nothing
     """
 
-    count: Any
     body: Any
     most: int
-    serial: Any = _nothing
+    count: Any = None
+    per_task: int = EVENLY
+    serial: Any = None
 
     @property
     def has_serial(self) -> bool:
         """Whether the phase has a serial part."""
-        return self.serial is not _nothing
+        return self.serial is not None
 
 
 def granularity(state: State) -> tuple[int, int]:
-    """Largest number of parts of the particle list in a phase, and cells per task; a GPU has a thread for each."""
-    return (BOUNDS, SCAN_BLOCK) if state.backend.on_cpu else (2**31 - 1, 1)
+    """Particles per task and cells per task; a GPU has a thread for each."""
+    return (EVENLY, SCAN_BLOCK) if state.backend.on_cpu else (1, 1)
+
+
+@ti.func
+def task_count(entries, per_task):
+    """Number of tasks of a phase."""
+    tasks = ti.min(entries, BOUNDS)
+    if per_task != EVENLY:
+        tasks = (entries + per_task - 1) // per_task
+    return tasks
+
+
+@ti.func
+def entry_range(index, entries, per_task):
+    """Begin and end of the entries of a task."""
+    begin, end = index * per_task, ti.min((index + 1) * per_task, entries)
+    if per_task == EVENLY:
+        begin, end = part_range(index, ti.min(entries, BOUNDS), entries)
+    return begin, end
 
 
 @ti.func
@@ -82,8 +99,7 @@ def build_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
 def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     control, real, position_real = state.control, state.backend.real, state.backend.position_real
     numbered = [
-        (number, phase, thread_count(phase.most), build_tasks_of_thread(phase.body, phase.most))
-        for number, phase in enumerate(phases)
+        (number, phase, thread_count(phase.most), _build_tasks_of_thread(phase)) for number, phase in enumerate(phases)
     ]
 
     @ti.kernel
@@ -97,7 +113,7 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
             for thread in range(threads):
                 rebuild = ti.Struct(count=count, skin=skin, reach_time=reach_time, dt=dt, pose=pose)
                 if number >= first and control.running[0] == 1:
-                    tasks_of_thread(thread, phase.count(rebuild), rebuild)
+                    tasks_of_thread(thread, rebuild)
             if ti.static(phase.has_serial):
                 for _ in range(1):  # one task of the kernel
                     if number >= first and control.running[0] == 1:
@@ -106,33 +122,65 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
     return rebuild_on_gpu
 
 
+def _build_tasks_of_thread(phase: Phase) -> Any:
+    """Device function (thread, rebuild): the tasks of a phase that one thread of a GPU has."""
+    per_task, has_count = phase.per_task, phase.count is not None
+
+    @ti.func
+    def entries_of(rebuild: ti.template()):
+        entries = rebuild.count
+        if ti.static(has_count):
+            entries = phase.count(rebuild)
+        return entries
+
+    @ti.func
+    def body(index, rebuild: ti.template()):
+        begin, end = index, index + 1
+        if ti.static(per_task != 1):
+            begin, end = entry_range(index, entries_of(rebuild), per_task)
+        phase.body(ti.Struct(index=index, begin=begin, end=end), rebuild)
+
+    tasks = build_tasks_of_thread(body, phase.most)
+
+    @ti.func
+    def tasks_of_thread(thread, rebuild: ti.template()):
+        tasks(thread, task_count(entries_of(rebuild), per_task), rebuild)
+
+    return tasks_of_thread
+
+
 def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     control, real, position_real = state.control, state.backend.real, state.backend.position_real
     numbered, phase_count = [*enumerate(phases)], len(phases)
+    counted = [(number, phase) for number, phase in numbered if phase.count is not None]
+    serial = [(number, phase) for number, phase in numbered if phase.has_serial]
 
     @ti.func
     def next_task():
         return ti.atomic_add(control.next_chunk[CACHE_LINE], 1)
 
     @ti.func
-    def run_tasks(current, rebuild):
+    def run_tasks(current, rebuild: ti.template()):
         """Tasks of one phase of one worker."""
-        task, task_count = next_task(), 0
-        for number, phase in ti.static(numbered):
+        index, entries, per_task = next_task(), rebuild.count, EVENLY
+        for number, phase in ti.static(counted):
             if number == current:
-                task_count = phase.count(rebuild)
-        while task < task_count:
+                entries, per_task = phase.count(rebuild), phase.per_task
+        tasks = task_count(entries, per_task)
+        while index < tasks:
+            begin, end = entry_range(index, entries, per_task)
+            task = ti.Struct(index=index, begin=begin, end=end)
             for number, phase in ti.static(numbered):
                 if number == current:
                     phase.body(task, rebuild)
-            task = next_task()
+            index = next_task()
 
     @ti.func
-    def complete(current, barrier, rebuild):
+    def complete(current, barrier, rebuild: ti.template()):
         """Wait for all workers; the last one runs the serial part. Returns 1 if this worker leaves the launch."""
         left = 0
         if arrive(control, barrier) == 1:
-            for number, phase in ti.static(numbered):
+            for number, phase in ti.static(serial):
                 if number == current:
                     phase.serial(rebuild)
             control.next_chunk[CACHE_LINE] = 0

@@ -182,11 +182,12 @@ def _chunk_phases(state: State) -> list[Phase]:
     prepare_films = build_prepare_films(state) if liquid else None
 
     @ti.func
-    def chunk_count(rebuild):
+    def chunk_count(rebuild: ti.template()):
         return (rebuild.count + chunk_size() - 1) // chunk_size()
 
     @ti.func
-    def prepare(chunk, rebuild):
+    def prepare(task: ti.template(), rebuild: ti.template()):
+        chunk = task.index
         first, last = chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), rebuild.count)
         if ti.static(wraps):
             for i in range(first, last):
@@ -198,11 +199,12 @@ def _chunk_phases(state: State) -> list[Phase]:
             save_history(chunk, first, last)
 
     @ti.func
-    def check_capacity(rebuild):
+    def check_capacity(rebuild: ti.template()):
         if ti.static(saves):
             if control.list_length_needed[0] > saved_capacity():
                 control.running[0] = 0
             else:
                 control.list_length_needed[0] = 0
 
-    return [Phase(chunk_count, prepare, state.plan.capacities.chunks, check_capacity)] if wraps or saves else []
+    phase = Phase(prepare, state.plan.capacities.chunks, chunk_count, per_task=1, serial=check_capacity)
+    return [phase] if wraps or saves else []

@@ -3,7 +3,7 @@
 from typing import Any
 
 from granflow.engine.host_fields import components
-from granflow.engine.neighbor.phases import Phase, granularity, is_count, part_range
+from granflow.engine.neighbor.phases import Phase, granularity, is_count
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 
@@ -44,30 +44,24 @@ def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
     Reads:   order
     Writes:  fields and buffers of `pairs`
     """
-    order, (most_parts, _) = state.cell_sort.order, granularity(state)
+    order, (per_task, _) = state.cell_sort.order, granularity(state)
 
     @ti.func
-    def part_count(rebuild):
-        return ti.min(rebuild.count, most_parts)
-
-    @ti.func
-    def gather(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        source, k = 0, begin
-        while k < end and is_count(source):
+    def gather(task: ti.template(), rebuild: ti.template()):
+        source, k = 0, task.begin
+        while (k < task.end) & is_count(source):
             source = order[k]
             for field, buffer in ti.static(pairs):
                 buffer[k] = ti.cast(field[source], buffer.dtype)
             k += 1
 
     @ti.func
-    def copy_back(part, rebuild):
-        begin, end = part_range(part, part_count(rebuild), rebuild.count)
-        k = begin
-        while k < end and is_count(order[k]):
+    def copy_back(task: ti.template(), rebuild: ti.template()):
+        k = task.begin
+        while k < task.end and is_count(order[k]):
             for field, buffer in ti.static(pairs):
                 field[k] = ti.cast(buffer[k], field.dtype)
             k += 1
 
     most = order.shape[0]
-    return [Phase(part_count, gather, most), Phase(part_count, copy_back, most)]
+    return [Phase(gather, most, per_task=per_task), Phase(copy_back, most, per_task=per_task)]
