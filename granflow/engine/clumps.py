@@ -24,16 +24,26 @@ from granflow.kernel_language import ti
 
 
 @ti.func
-def scaled_rotation(q):
-    """|q|^2 times the rotation matrix of a quaternion (w, x, y, z); its columns are the principal axes."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return ti.Matrix(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
+def in_order(axis: ti.template(), first, second, third):
+    """Vector of the components along a principal axis and along the two that follow it."""
+    return (
+        ti.Vector([first, second, third])
+        if ti.static(axis == 0)
+        else (ti.Vector([third, first, second]) if ti.static(axis == 1) else ti.Vector([second, third, first]))
     )
+
+
+@ti.func
+def principal_axis(q, axis: ti.template()):
+    """|q|^2 times a principal axis of a clump with the quaternion q = (w, x, y, z)."""
+    w, u, v, t = q[0], q[1 + axis], q[1 + (axis + 1) % 3], q[1 + (axis + 2) % 3]
+    return in_order(axis, w * w + u * u - v * v - t * t, 2.0 * (u * v + w * t), 2.0 * (u * t - w * v))
+
+
+@ti.func
+def scaled_rotation(q):
+    """|q|^2 times the rotation matrix of a quaternion q; its columns are the principal axes."""
+    return ti.Matrix.cols([principal_axis(q, 0), principal_axis(q, 1), principal_axis(q, 2)])
 
 
 @ti.func
@@ -42,11 +52,9 @@ def turned(q, axis: ti.template(), tangent):
 
     The result is sqrt(1 + tangent^2) times as long as q.
     """
-    u = ti.Vector([q[1], q[2], q[3]])
-    e = 0.0 * u
-    e[axis] = tangent
-    v = u + q[0] * e + u.cross(e)
-    return ti.Vector([q[0] - u.dot(e), v[0], v[1], v[2]])
+    w, u, v, t = q[0], q[1 + axis], q[1 + (axis + 1) % 3], q[1 + (axis + 2) % 3]
+    e = in_order(axis, u + tangent * w, v + tangent * t, t - tangent * v)
+    return ti.Vector([w - tangent * u, e[0], e[1], e[2]])
 
 
 @ti.func
@@ -54,8 +62,7 @@ def half_turned(q, momentum, inertia, dt, axes: ti.template()):
     """A unit quaternion q after rotations of dt/2 about the principal axes in the given order."""
     found, square, quarter = q, q.dot(q), 0.25 * dt / inertia
     for axis in ti.static(axes):
-        along = (scaled_rotation(found).transpose() @ momentum)[axis]
-        tangent = quarter[axis] * along / square
+        tangent = quarter[axis] * principal_axis(found, axis).dot(momentum) / square
         found, square = turned(found, axis, tangent), square * (1.0 + tangent * tangent)
     return found / ti.sqrt(found.dot(found))
 
