@@ -25,8 +25,8 @@ def triangle_range(mesh: ti.template(), w, point):
     cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
     begin, end = 0, 0
     shape = mesh.shape[w]
-    inside = cell_position[0] >= 0.0 and cell_position[1] >= 0.0 and cell_position[2] >= 0.0
-    inside = inside and cell_position[0] < shape[0] and cell_position[1] < shape[1] and cell_position[2] < shape[2]
+    inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
+    inside = inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
     if inside:
         x, y, z = (
             ti.cast(cell_position[0], ti.i32),

@@ -17,7 +17,7 @@ from granflow.engine.host_particles import HostParticles, at_present, joined_arr
 from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.bounds import KEPT_REACH
 from granflow.engine.neighbor.deletion import find_farthest, remaining
-from granflow.engine.neighbor.neighbor_list import TOO_LONG
+from granflow.engine.neighbor.fill_phase import TOO_LONG
 from granflow.engine.neighbor.rebuild import ChunkKernel, RebuildKernel
 from granflow.engine.pair_batch import BATCH, LANES
 from granflow.engine.ranks import Arrays

@@ -15,8 +15,8 @@ from granflow.engine.limits import ABORT_FAR
 from granflow.engine.neighbor.bounds import KEPT_REACH, bounds_phases
 from granflow.engine.neighbor.cell_sort import class_phases, sort_phases
 from granflow.engine.neighbor.deletion import find_farthest
+from granflow.engine.neighbor.fill_phase import TOO_LONG, fill_phase
 from granflow.engine.neighbor.history_transfer import build_save_history
-from granflow.engine.neighbor.neighbor_list import TOO_LONG, fill_phase
 from granflow.engine.neighbor.phases import Phase, build_rebuild
 from granflow.engine.neighbor.reorder import reorder_phases
 from granflow.engine.periodic_box import build_wrap
