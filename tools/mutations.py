@@ -286,8 +286,8 @@ MUTATIONS = (
     Mutation(
         "neighbors of the next index",
         "granflow/engine/neighbor/neighbor_list.py",
-        "if j > i or j < owner.first",
-        "if j > i + 1 or j < owner.first",
+        "if (j > i) | (j < owner.first)",
+        "if (j > i + 1) | (j < owner.first)",
         ("tests/engine/test_neighbor_list.py::test_neighbor_list_holds_exactly_the_candidate_pairs",),
     ),
     Mutation(

@@ -244,7 +244,7 @@ def test_dry_rain_in_the_place_of_deleted_particles_brings_no_liquid(taichi_f64,
     rain = {"material": "glass", "count": 40, "diameter": DIAMETER, "liquid_content": 0.0, "insert": insertion}
     walls = {name: wall for name, wall in vibrating_box(0.019).items() if name != "high_z"}
     scene = wet_scene(
-        {"leaving": leaving, "bed": bed, "rain": rain}, walls, max_bridge_volume=1e-11, tension=0.01,
+        {"leaving": leaving, "bed": bed, "rain": rain}, walls, max_bridge_volume=2e-11, tension=0.01,
         pair={"friction": 0.3, "restitution": 0.8}, gravity=[0.0, 0.0, -9.81], numerics={"chunk_size": chunk_size},
         domain={"min": [-0.01] * 3, "max": [0.03, 0.03, 0.04], "on_exit": "delete"},
         run={"duration": 0.05, "time_step": 4e-6, "velocity_max": 3.0},
@@ -309,7 +309,7 @@ def test_bridges_that_take_more_than_the_film_stop_the_run(taichi_f64):
     ball = particle_group([[0, 0, 0]], DIAMETER, liquid_content=CONTENT)
     assert 16 * share(1.0, 1.0) > 1.0
     with pytest.raises(RunError, match="the bridges that form in one step on particle 16 .* take more liquid"):
-        run_to_end(wet_scene({"ring": fixed, "ball": ball}))
+        run_to_end(wet_scene({"ring": fixed, "ball": ball}, numerics={"chunk_size": 4}))
 
 
 def test_lower_precision_is_refused():
