@@ -1,5 +1,6 @@
 """Feature costs: features, start state and memory of every variant."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -142,7 +143,6 @@ def measured(directory):
     return {"rows": cost_rows(found), "positions": positions, "written": written}
 
 
-@pytest.mark.slow
 def test_every_timing_starts_from_the_same_particles(tmp_path):
     found = in_subprocess(measured, str(tmp_path))
     assert [row[0] for row in found["rows"]] == ["baseline", "without walls"]
@@ -163,3 +163,10 @@ def test_until_requires_measure(tmp_path, capsys):
     path.write_text(TEXT)
     assert main(["explain", str(path), "--until", "1s"]) == 2
     assert "requires --measure" in capsys.readouterr().err
+
+
+def test_clumps_are_refused_before_the_run(capsys):
+    scene = Path(__file__).parents[2] / "scenes" / "clumps.yaml"
+    assert main(["explain", str(scene), "--measure"]) == 2
+    error = capsys.readouterr().err
+    assert re.match(r".*clumps\.yaml:\d+:\d+: explain --measure cannot time clumps", error), error

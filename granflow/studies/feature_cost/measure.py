@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow import GranflowError, ParticleData, Plan, Scene, Simulation, estimate_memory
+from granflow import GranflowError, ParticleData, Plan, Scene, SceneError, Simulation, estimate_memory
 from granflow.studies.feature_cost.variants import FeatureVariant, variants_of
 
 SHARE_BEFORE = 1.0 / 3.0
@@ -69,8 +69,14 @@ def feature_costs(
     `rounds`: timings of each variant, alternating between the variants after one round of warm-up. `only`: names of the
     requested variants. `report` receives progress messages.
 
-    Raises GranflowError without particles at that time, RunError if a variant aborts.
+    Raises GranflowError without particles at that time, RunError if a variant aborts, SceneError with clumps.
     """
+    for name, group in scene.particles.items():
+        if group.clump:
+            raise SceneError(
+                f"{scene.locate('particles', name, 'clump')}: explain --measure cannot time clumps, because each "
+                "variant starts from single particles; give a scene without clumps."
+            )
     end = SHARE_BEFORE * scene.longest_duration if until is None else until
     report(f"Running to {end:.3g} s")
     baseline = Simulation(scene, arch=arch, threads=threads)  # type: ignore[arg-type]
@@ -100,7 +106,8 @@ def feature_costs(
 def start_of(simulation: Simulation) -> StartState:
     """Present particles and walls of a simulation."""
     engine, snapshot = simulation.engine, simulation.snapshot()
-    data = ParticleData(*(snapshot.particles[name] for name in ParticleData.__dataclass_fields__))
+    names = [name for name in ParticleData.__dataclass_fields__ if name != "orientation"]  # only clumps are turned
+    data = ParticleData(*(snapshot.particles[name] for name in names))
     present = tuple(pose.present for pose in snapshot.walls.values())
     return StartState(data, present, engine.state.wall_motions, engine.state.clock.state_dict())
 
