@@ -11,6 +11,7 @@ from granflow.kernel_language import ti
 from granflow.observers.interval import on_interval
 from granflow.plan import capacities
 from granflow.plan import plan as plan_module
+from granflow.plan.build import plan_for
 from granflow.plan.plan import Plan
 from granflow.simulation import Simulation
 
@@ -102,10 +103,10 @@ def test_history_capacity_grows_if_saved_history_does_not_fit(taichi_f64, monkey
     scene = compressed_bed(16)
     reference, reference_run = run_and_sample(scene)
     monkeypatch.setattr(state_cache, "_kept", [])
-    entries = reference_run.plan.capacities.list_entries_per_segment
-    monkeypatch.setattr(capacities, "HISTORY_SHARE", 1.01 / entries)
+    planned = reference_run.plan.capacities
+    monkeypatch.setattr(capacities, "HISTORY_SHARE", (planned.segments + 0.5) / planned.list_entries)
     monkeypatch.setattr(capacities, "SPARE", 0)
-    assert reference_run.plan.capacities.saved_entries_per_segment == 1
+    assert plan_for(scene).capacities.saved_entries_per_segment == 1
     grown, growing_run = run_and_sample(scene)
     assert growing_run.engine.timing.growth_count > 0
     for name in ARRAYS:
