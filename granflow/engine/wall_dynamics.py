@@ -77,11 +77,8 @@ def build_move_walls(state: State) -> Any:
     """
     motions, fields, control = _motions(state), state.wall_dynamics, state.control
     displacement_limit, travel_limit = state.parameter("wall_displacement_limit"), state.parameter("wall_travel_limit")
-    per_unit, shared, shared_rows = (
-        state.parameter("per_unit", WALL_FORCE),
-        shares_rows(state),
-        state.capacities.wall_rows,
-    )
+    per_unit, shared = state.parameter("per_unit", WALL_FORCE), shares_rows(state)
+    shared_rows = state.capacities.wall_rows
 
     @ti.func
     def force_units(chunks, r: ti.template()):

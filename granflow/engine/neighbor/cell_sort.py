@@ -7,7 +7,7 @@ from typing import Any
 
 from granflow.engine.neighbor.cells import cell_number, cell_of_point
 from granflow.engine.neighbor.deletion import build_remains
-from granflow.engine.neighbor.phases import Phase, granularity, is_count, task_count
+from granflow.engine.neighbor.phases import Phase, all_particles, granularity, is_count, task_count
 from granflow.engine.state import State
 from granflow.kernel_language import ti
 from granflow.plan.capacities import SCAN_BLOCK
@@ -37,11 +37,7 @@ def sort_phases(state: State) -> list[Phase]:
     def key(i):
         return particles.id[i]
 
-    @ti.func
-    def count_of(rebuild: ti.template()):
-        return rebuild.count
-
-    return _counting_sort(state, cell_of, cells_of_all, count_of, key, sorting.cell_start, sorting.order)
+    return _counting_sort(state, cell_of, cells_of_all, all_particles, key, sorting.cell_start, sorting.order)
 
 
 def class_phases(state: State) -> list[Phase]:

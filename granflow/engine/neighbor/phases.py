@@ -29,20 +29,26 @@ def is_count(number: ti.template()):
     return number >= 0
 
 
+@ti.func
+def all_particles(rebuild: ti.template()):
+    """Number of entries of most phases."""
+    return rebuild.count
+
+
 @dataclass(frozen=True)
 class Phase:
     """Device functions of a phase; `rebuild` is a struct with the arguments of the launch, see `build_rebuild`.
 
     body:      (task, rebuild): one task, a struct of its `index` and its entries `begin` to `end`, exclusive
     most:      largest number of tasks; on a GPU the length of the loop
-    count:     (rebuild): number of entries; None: the particles
+    count:     (rebuild): number of entries
     per_task:  entries of a task, or EVENLY
     serial:    (rebuild): after all tasks, on one thread; None: nothing
     """
 
     body: Any
     most: int
-    count: Any = None
+    count: Any = all_particles
     per_task: int = EVENLY
     serial: Any = None
 
@@ -124,27 +130,20 @@ def _build_gpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
 
 def _build_tasks_of_thread(phase: Phase) -> Any:
     """Device function (thread, rebuild): the tasks of a phase that one thread of a GPU has."""
-    per_task, has_count = phase.per_task, phase.count is not None
-
-    @ti.func
-    def entries_of(rebuild: ti.template()):
-        entries = rebuild.count
-        if ti.static(has_count):
-            entries = phase.count(rebuild)
-        return entries
+    per_task = phase.per_task
 
     @ti.func
     def body(index, rebuild: ti.template()):
         begin, end = index, index + 1
         if ti.static(per_task != 1):
-            begin, end = entry_range(index, entries_of(rebuild), per_task)
+            begin, end = entry_range(index, phase.count(rebuild), per_task)
         phase.body(ti.Struct(index=index, begin=begin, end=end), rebuild)
 
     tasks = build_tasks_of_thread(body, phase.most)
 
     @ti.func
     def tasks_of_thread(thread, rebuild: ti.template()):
-        tasks(thread, task_count(entries_of(rebuild), per_task), rebuild)
+        tasks(thread, task_count(phase.count(rebuild), per_task), rebuild)
 
     return tasks_of_thread
 
@@ -152,7 +151,7 @@ def _build_tasks_of_thread(phase: Phase) -> Any:
 def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]:
     control, real, position_real = state.control, state.backend.real, state.backend.position_real
     numbered, phase_count = [*enumerate(phases)], len(phases)
-    counted = [(number, phase) for number, phase in numbered if phase.count is not None]
+    special = [each for each in numbered if (each[1].count, each[1].per_task) != (all_particles, EVENLY)]
     serial = [(number, phase) for number, phase in numbered if phase.has_serial]
 
     @ti.func
@@ -162,8 +161,8 @@ def _build_cpu_rebuild(state: State, phases: list[Phase]) -> Callable[..., None]
     @ti.func
     def run_tasks(current, rebuild: ti.template()):
         """Tasks of one phase of one worker."""
-        index, entries, per_task = next_task(), rebuild.count, EVENLY
-        for number, phase in ti.static(counted):
+        index, entries, per_task = next_task(), all_particles(rebuild), EVENLY
+        for number, phase in ti.static(special):
             if number == current:
                 entries, per_task = phase.count(rebuild), phase.per_task
         tasks = task_count(entries, per_task)
