@@ -68,7 +68,7 @@ class _Taichi:
 
         @wraps(function)
         def inlined(*arguments: Any, **keywords: Any) -> Any:
-            if not (arguments and _is_from_outside(arguments[0])):
+            if not (arguments and is_from_outside(arguments[0])):
                 return compiled()(*arguments, **keywords)
             try:
                 result = compiled()(*arguments, **keywords)
@@ -82,8 +82,8 @@ class _Taichi:
         return at_compile_time(inlined)
 
 
-def _is_from_outside(owner: Any) -> bool:
-    """Whether a device function is a method of a class that a program defines."""
+def is_from_outside(owner: Any) -> bool:
+    """Whether an object with device functions belongs to a class that a program defines."""
     return isinstance(owner, DeviceObject) and not type(owner).__module__.startswith("granflow.")
 
 

@@ -10,13 +10,14 @@ only; `constants`, `contact` and `history` are structs:
 Tangential and rolling laws read more, see `surface_law`.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from granflow.contact.material import PairMaterial
-from granflow.device_functions import DeviceObject
+from granflow.device_functions import DeviceObject, is_from_outside
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,15 @@ class Law(DeviceObject):
         return cls()
 
     @property
+    def structure(self) -> "Law":
+        """The law with the signs of its numbers in their place: laws of equal structure share compiled kernels.
+
+        Device functions of granflow read numbers in `parameters` only. Those of a program may read them in `self`,
+        where they are literals of the kernel, so that its laws are their own structure.
+        """
+        return self if is_from_outside(self) else _with_signs(self)
+
+    @property
     def history(self) -> tuple[HistoryField, ...]:
         """Contact history, in order."""
         return ()
@@ -140,6 +150,14 @@ class Law(DeviceObject):
         Raises ValueError for a pair that the model does not support.
         """
         return tuple(pair.options[name] for name in self.constant_names)
+
+
+def _with_signs(value: Any) -> Any:
+    """A record with the sign, 1.0, 0.0 or -1.0, in place of each number; other values remain."""
+    if is_dataclass(value):
+        signs = {each.name: _with_signs(getattr(value, each.name)) for each in fields(value)}
+        return replace(value, **signs)  # type: ignore[type-var]
+    return math.copysign(value != 0.0, value) if isinstance(value, float) else value
 
 
 def _kind(value: Any) -> str:

@@ -33,6 +33,11 @@ class ContactLaws:
         return {slot: law for slot, law in laws.items() if law is not None}
 
     @property
+    def structure(self) -> tuple[tuple[str, Law], ...]:
+        """Each slot with the structure of its law, see `Law.structure`."""
+        return tuple((slot, law.structure) for slot, law in self.by_slot.items())
+
+    @property
     def has_tangential(self) -> bool:
         """Whether a tangential model acts; kernels cannot compare with None."""
         return self.tangential is not None

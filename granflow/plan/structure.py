@@ -12,12 +12,13 @@ from granflow.plan.plan import Plan
 def structure_of(plan: Plan) -> Hashable:
     """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor lists'.
 
-    Contact laws count with all their settings, external forces with their functions and names of parameters.
+    Contact laws count without their numbers, see `contact.law.Law.structure`; external forces with their functions and
+    names of parameters.
     """
     return (
         plan.precision,
         plan.features,
-        plan.laws,
+        plan.laws.structure,
         plan.external_forces,
         plan.periodic_box.axes,
         _shear_axes(plan),

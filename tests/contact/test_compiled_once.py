@@ -1,6 +1,7 @@
 """Numbers of contact models are no literals of kernels: models that differ in numbers share compiled kernels."""
 
 import os
+from dataclasses import dataclass
 
 import numpy as np
 from contact.cases import kernel_for
@@ -12,6 +13,7 @@ from granflow.contact.law import ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
+from granflow.contact.normal.zhou import Zhou
 from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount
 from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
@@ -50,6 +52,22 @@ def evaluate(law):
     else:
         laws = ContactLaws(law) if isinstance(law, NormalLaw) else ContactLaws(Hertz(False), cohesion=law)
         kernel_for(laws)(row, row, 0.1, 0.1, 1e-5, *(flat for _ in range(7)), cube)
+
+
+def test_laws_that_differ_in_numbers_have_one_structure():
+    for model in RECORDS:
+        low, high = ([law.structure for law in variants(model, number)] for number in (0.3, 0.4))
+        assert low == high
+    assert Zhou("constant", 0.5, 0.0).structure != Zhou("constant", 0.5, 0.1).structure
+    assert Zhou("constant", 0.5).structure != Zhou("impact", 0.5).structure
+
+
+def test_the_numbers_of_a_law_from_outside_are_part_of_its_structure():
+    @dataclass(frozen=True)
+    class Outside(Zhou):
+        """A law of a program, whose device functions may contain its numbers as literals."""
+
+    assert Outside("constant", 0.5).structure != Outside("constant", 0.4).structure
 
 
 def test_models_with_other_numbers_add_no_compiled_kernel(tmp_path):

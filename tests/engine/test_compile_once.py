@@ -18,12 +18,13 @@ from granflow.simulation import Simulation
 BASE = {
     "count": 60, "diameter": 0.004, "floor": 0.0, "friction": 0.4, "young_modulus": 1e8, "gravity": -9.81, "high": 0.05,
     "skin": "auto", "max_overlap": 0.3, "outlet": 0.0, "rate": 20.0, "mass": 0.1, "threads": 1,
-    "free": True,
+    "rest_damping": 0.1, "free": True,
 }  # fmt: skip
 
 CHANGES = {
     "count": 90, "diameter": 0.0036, "floor": -0.001, "friction": 0.3, "young_modulus": 2e8, "gravity": -5.0,
     "high": 0.06, "skin": 4e-4, "max_overlap": 0.2, "outlet": -0.002, "rate": 30.0, "mass": 0.2, "threads": 2,
+    "rest_damping": 0.05,
 }  # fmt: skip
 
 
@@ -42,6 +43,7 @@ def scene_of(case):
         gravity=[0.0, 0.0, case["gravity"]], materials={"glass": {
             "young_modulus": case["young_modulus"], "poisson_ratio": 0.25, "density": 2500.0,
         }},
+        normal={"law": "zhou", "rest_damping": case["rest_damping"]},
         domain={"min": [0.0, -0.05, -0.05], "max": [case["high"]] * 3, "on_exit": "delete", "periodic": ["x"]},
         numerics={"skin": case["skin"], "max_overlap": case["max_overlap"], "chunk_size": 32},
         run={"duration": 0.004, "velocity_max": 2.0}, output={"interval": 1.0, "energy_budget": True},
