@@ -12,6 +12,7 @@ from scipy.integrate import quad
 from granflow.contact.material import Solid, modulus_eff
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain
+from granflow.simulation import Simulation
 
 WORK = OPTIONS["work_of_adhesion"]
 LENGTH = (2.0 * math.pi * WORK * RADIUS**2 / MODULUS) ** (2.0 / 3.0) / RADIUS
@@ -257,6 +258,32 @@ def test_energy_budget_closes_with_models_that_store_the_stiffness_of_a_contact(
     losses = 3 * (lost_energy("jkr", RADIUS) + lost_energy("jkr", 0.5 * RADIUS))
     assert abs(last.totals["energy_error"]) < 2e-3
     assert last.totals["plastic_dissipation"] > 0.8 * losses
+
+
+def test_van_der_waals_attraction_is_conservative_on_a_contact_without_history(taichi_f64):
+    """Speed at contact from U = A R / 6 (1/s_0 - 1/s_c), s_c = 31 s_0, and at the cut-off again that of the approach.
+
+    An elastic Hertz contact without friction has no history, so that no list entry is marked as a contact.
+    """
+    radius, speed, hamaker, separation = 1e-5, 5e-3, 2e-18, 1e-7
+    mass, cutoff = DENSITY * 4.0 / 3.0 * math.pi * radius**3, 31.0 * separation
+    ball = particle_group([[0.0, 0.0, radius + cutoff]], 2.0 * radius, velocity=[0.0, 0.0, -speed])
+    scene = build_scene(
+        {"ball": ball}, {"floor": plane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])},
+        pair={"restitution": 1.0, "hamaker_constant": hamaker, "separation": separation},
+        contact={"normal": "hertz", "tangential": "mindlin", "rolling": "none", "cohesion": "van_der_waals"},
+        materials={"glass": SOLID}, domain={"min": [-1e-3] * 3, "max": [1e-3] * 3, "on_exit": "error"},
+        run={"duration": 2e-3, "velocity_max": 2.0 * speed},
+    )  # fmt: skip
+    simulation, fastest = Simulation(scene), 0.0
+    while simulation.time < scene.run.duration:
+        simulation.step(20)
+        height, velocity = (simulation.snapshot().particles[name][0, 2] for name in ("position", "velocity"))
+        fastest = max(fastest, -velocity)
+    assert height > radius + cutoff
+    energy = hamaker * radius / 6.0 * (1.0 / separation - 1.0 / cutoff)
+    assert fastest == pytest.approx(math.sqrt(speed**2 + 2.0 * energy / mass), rel=2e-3)
+    assert velocity == pytest.approx(speed, rel=1e-3)
 
 
 def test_explain_shows_the_bond_number():

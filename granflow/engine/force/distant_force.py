@@ -46,17 +46,17 @@ def build_distant_force(state: State, with_wall: bool) -> Any:
         constants, bodies, history = pair_constants(i, j), effective(i, j), read_history(list_index)
         contact = cohesive_contact(bodies, overlap, dt)
         attraction, history_new = laws.cohesion.force(constants.cohesion, contact, history.cohesion)
-        is_kept, energy_lost = 0, 0.0 * dt
+        energy_lost, is_kept = 0.0 * dt, False
         if ti.static(keeps_history):
             components = vector_of(history_new)
-            is_kept = ti.cast(components[0] > 0.0, ti.i32)
-            if is_kept == 0:
+            is_kept = components[0] > 0.0
+            if not is_kept:
                 return_liquid(chunk, i, j, list_index)
             neighbors.history["cohesion"][list_index] = components
-        if is_kept == 1:
-            neighbors.in_contact[list_index] = IN_CONTACT
-            energy_lost = end_surface_contact(list_index, constants, bodies, dt)
-        else:
+            if is_kept:
+                neighbors.in_contact[list_index] = IN_CONTACT
+                energy_lost = end_surface_contact(list_index, constants, bodies, dt)
+        if not is_kept:
             energy_lost = end_contact(list_index, constants, bodies, dt)
         add_plastic_loss(chunk, j, energy_lost)
         return attraction
