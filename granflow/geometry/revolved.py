@@ -112,13 +112,13 @@ def reference_closest_on_revolved(points: np.ndarray, parameters: np.ndarray) ->
     """
     axis = parameters[3:6]
     start, end = profile(parameters)
-    radial = radial_directions(points - parameters[0:3], axis)
-    edge_start = parameters[0:3] + start[0] * radial + start[1] * axis
-    edge_end = parameters[0:3] + end[0] * radial + end[1] * axis
-    chord = edge_end - edge_start
-    fraction = np.sum((points - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
+    from_origin = points - parameters[0:3]
+    radial = radial_directions(from_origin, axis)
+    edge_start = start[0] * radial + start[1] * axis
+    chord = (end[0] - start[0]) * radial + (end[1] - start[1]) * axis
+    fraction = np.sum((from_origin - edge_start) * chord, axis=1) / np.sum(chord * chord, axis=1)
     foot = edge_start + np.clip(fraction, 0.0, 1.0)[:, None] * chord
-    from_surface = points - foot
+    from_surface = from_origin - foot
     distance = np.linalg.norm(from_surface, axis=1)
     on_surface = distance == 0.0
     face_normal = np.cross(chord, np.cross(axis, radial)) / np.linalg.norm(chord, axis=1)[:, None]
