@@ -58,6 +58,11 @@ class NormalLaw(Law):
         """theta of a model that bounds its unloading tangent by theta^2 M/dt^2; 0: no such bound."""
         return 0.0
 
+    @property
+    def reloading_damping(self) -> float:
+        """Damping ratio, with the unloading tangent, of contacts that are compressed again without having separated."""
+        return 0.0
+
     def unresolved_unloading(self, pair: PairMaterial) -> float:
         """If the ratio of unloading to loading duration is below this value, the time step need not resolve unloading.
 
@@ -170,6 +175,21 @@ class NormalLaw(Law):
     def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m]."""
         return 0.0
+
+    def present_response(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
+    ) -> tuple[float, float]:
+        """Largest tangent stiffness [N/m] and viscosity [N s/m] at the maximum overlap, loading or unloading.
+
+        A servo wall, which reacts to the force, must react more slowly than these change the force. A contact of the
+        restitution 0 stops the particle in one step: M/dt.
+        """
+        arguments, rate = (pair, radius_eff, mass_eff, velocity), mass_eff / time_step
+        stiffness = self.unloading_stiffness(*arguments)
+        if self.limits_restitution:
+            stiffness = min(stiffness, self.unloading_angle**2 * rate / time_step)
+        at_rest = 2.0 * self.reloading_damping * float(np.sqrt(stiffness * mass_eff))
+        return stiffness, rate if pair.restitution == 0.0 else max(self.viscosity(*arguments), at_rest)
 
     def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
         """Restitution at a time step that resolves the collision; by default that of the pair.

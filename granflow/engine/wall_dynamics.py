@@ -1,13 +1,13 @@
 """Force-controlled walls on the device: the force of the particles on a wall, and the resulting motion.
 
-    servo   v(t + dt/2) = gain [F - f(t)], limited to +-velocity_max
+    servo   v(t + dt/2) = v(t - dt/2) + {gain [F - f(t)] - v(t - dt/2)} / (1 + lag), limited to +-velocity_max
     free    v(t + dt/2) = [(1 - a) v(t - dt/2) + dt/M (F - f(t))] / (1 + a),   a = c dt / 2M
     both    x(t + dt) = x(t) + dt v(t + dt/2)
 
 with f [N] the force of the wall on the particles along its direction, and F [N] the target force of a servo, or the
-weight and the applied force of a free wall; gain [m/(N s)], mass M [kg] and damping c [N s/m] are those of the plan. As
-in the leapfrog scheme of the particles, the velocity of a wall is half a step behind its position, and both are
-integrated in the same phase of the step.
+weight and the applied force of a free wall; gain [m/(N s)], lag [steps], mass M [kg] and damping c [N s/m] are those of
+the plan. As in the leapfrog scheme of the particles, the velocity of a wall is half a step behind its position, and
+both are integrated in the same phase of the step.
 """
 
 from typing import Any
@@ -27,9 +27,9 @@ class MotionParameters:
 
     def __init__(self, state: State, index: int) -> None:
         self.is_servo = state.plan.controlled_motions[index].kind == "servo"
-        self.wall, self.direction, self.force, self.gain, self.velocity_max, self.mass, self.damping = (
+        self.wall, self.direction, self.force, self.gain, self.lag, self.velocity_max, self.mass, self.damping = (
             state.parameter(f"motion.{index}.{name}")
-            for name in ("wall", "direction", "force", "gain", "velocity_max", "mass", "damping")
+            for name in ("wall", "direction", "force", "gain", "lag", "velocity_max", "mass", "damping")
         )
 
 
@@ -125,7 +125,7 @@ def _controlled_velocity(fields: ti.template(), motion: ti.template(), r: ti.tem
     """Velocity [m/s] of motion r at the next half step; the first kick of a free wall is half a step."""
     velocity = fields.velocity[r]
     if ti.static(motion.is_servo):
-        velocity = motion.gain() * (motion.force() + force_on_wall)
+        velocity += (motion.gain() * (motion.force() + force_on_wall) - velocity) / (1.0 + motion.lag())
         velocity = ti.max(ti.min(velocity, motion.velocity_max()), -motion.velocity_max())
     else:
         kick = dt / motion.mass() * (motion.force() + force_on_wall)

@@ -114,5 +114,5 @@ def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
     """Wall, direction and constants of a force-controlled motion."""
     yield _scalar(f"{prefix}.wall", "i32", motion.wall)
     yield _vector(f"{prefix}.direction", "f64", motion.direction)
-    for name in ("force", "gain", "velocity_max", "mass", "damping"):
+    for name in ("force", "gain", "lag", "velocity_max", "mass", "damping"):
         yield _scalar(f"{prefix}.{name}", "real", getattr(motion, name))

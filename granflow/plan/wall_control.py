@@ -25,6 +25,21 @@ MAX_GAIN = 2.0
 
 
 @dataclass(frozen=True)
+class WallContacts:
+    """Contacts of a layer of particles on a wall.
+
+    count:       of contacts
+    stiffness:   [N/m] of one contact at the maximum impact velocity
+    resistance:  C + K dt / 2 [N s/m] of one contact, with the largest tangent stiffness K and viscosity C that it can
+                 have, see `NormalLaw.present_response`
+    """
+
+    count: float
+    stiffness: float
+    resistance: float
+
+
+@dataclass(frozen=True)
 class ControlledMotion:
     """One force-controlled motion: index of the wall, index of the motion of this wall, and its parameters.
 
@@ -40,6 +55,8 @@ class ControlledMotion:
     force: float
     gain: float
     """Servo: velocity per force error [m/(s N)]."""
+    lag: float
+    """Servo: time [steps] in which its velocity follows the force error."""
     velocity_max: float
     """Servo: maximum velocity [m/s]."""
     mass: float
@@ -81,33 +98,41 @@ def controlled_motions_of(
     for index, wall in enumerate(walls):
         for number, given in enumerate(scene.walls[wall.name].motion):
             if isinstance(given, Servo | FreeWall):
-                stiffness = _stiffness(scene, wall, given, law, pair_cases, velocity)
+                layer = _layer(scene, wall, given, law, pair_cases, velocity, step)
                 build = _servo if isinstance(given, Servo) else _free
-                controlled_motions.append(build(scene, index, wall, number, given, stiffness, step))
+                controlled_motions.append(build(scene, index, wall, number, given, layer, step))
     return tuple(controlled_motions)
 
 
 def _servo(
-    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
+    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, layer: WallContacts, step: float
 ) -> ControlledMotion:
-    """A servo moves at v = gain (F - f), limited to velocity_max.
+    """A servo approaches v = gain (F - f), limited to velocity_max, within `lag` steps.
 
-    Contacts of stiffness K then change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2 the force
+    Contacts of stiffness K change their force by K dt v = gain K dt (F - f) in a step: for gain K dt < 2 the force
     error decreases in every step. The servo is a dashpot of 1/gain: it dissipates energy of the particles.
+
+    With v' = v + (gain (F - f) - v) / (1 + lag), the characteristic equation on contacts of stiffness K and viscosity C
+
+        z^2 - (1 + p - gain K dt / (1 + lag)) z + p = 0,     p = (lag - gain C) / (1 + lag)
+
+    has both roots inside the unit circle for lag >= gain (C + K dt / 2), because then 0 <= p < 1 and 2 + 2 p exceeds
+    gain K dt / (1 + lag). Without lag the wall would overshoot at every step on contacts with gain C > 1: the force
+    that it reacts to contains that of its own velocity.
     """
-    single, all_contacts = stiffness
-    max_gain = MAX_GAIN / (single * step)
+    max_gain = MAX_GAIN / (layer.stiffness * step)
+    default_gain = GAIN_SHARE / (layer.count * layer.stiffness * step)
     if given.gain is not None and given.gain > max_gain:
         location = scene.locate("walls", wall.name, "motion", number, "gain")
         raise SceneError(
             f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} on "
             f"the wall overshoots at every step of {step:.3g} s. Without the key it is "
-            f"{GAIN_SHARE / (all_contacts * step):.2g}."
+            f"{default_gain:.2g}."
         )
     force = given.force
     if force is None:
         force = given.pressure * (area_of(wall.shape) or 0.0)
-    gain = given.gain if given.gain is not None else GAIN_SHARE / (all_contacts * step)
+    gain = given.gain if given.gain is not None else default_gain
     return ControlledMotion(
         index,
         number,
@@ -116,6 +141,7 @@ def _servo(
         _unit(given),
         force,
         gain,
+        gain * layer.count * layer.resistance,
         given.velocity_max,
         mass=1.0,
         damping=0.0,
@@ -124,13 +150,14 @@ def _servo(
 
 
 def _free(
-    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, stiffness: tuple[float, float], step: float
+    scene: Scene, index: int, wall: PlannedWall, number: int, given: Any, layer: WallContacts, step: float
 ) -> ControlledMotion:
-    """A free wall of mass M on contacts of stiffness K oscillates with w^2 = K/M; w dt must be below 1.
+    """A free wall of mass M on contacts of stiffness K and viscosity C is stable for M > (C + K dt / 2) dt / 2.
 
-    The least mass is K dt^2 [kg], with K of a layer of particles. Raises SceneError for a smaller mass.
+    The least mass is twice as large, and at least K dt^2 [kg], with the contacts of a layer of particles. Raises
+    SceneError for a smaller mass.
     """
-    min_mass = stiffness[1] * step**2
+    min_mass = layer.count * step * max(layer.resistance, layer.stiffness * step)
     if given.mass < min_mass:
         location = scene.locate("walls", wall.name, "motion", number, "mass")
         raise SceneError(
@@ -147,26 +174,35 @@ def _free(
         "free",
         direction,
         force,
-        0.0,
-        0.0,
+        gain=0.0,
+        lag=0.0,
+        velocity_max=0.0,
         mass=given.mass,
         damping=given.damping,
         source=scene.where("walls", wall.name, "motion", number),
     )
 
 
-def _stiffness(
-    scene: Scene, wall: PlannedWall, given: Any, law: NormalLaw, pair_cases: Sequence[PairCase], velocity: float
-) -> tuple[float, float]:
-    """Stiffness [N/m] of one contact at the maximum impact velocity, and of a layer of particles on the wall.
+def _layer(
+    scene: Scene,
+    wall: PlannedWall,
+    given: Any,
+    law: NormalLaw,
+    pair_cases: Sequence[PairCase],
+    velocity: float,
+    step: float,
+) -> WallContacts:
+    """The contacts of a layer of particles on the wall.
 
     A layer of spheres of radius r in closest packing has one sphere per area 2 sqrt(3) r^2 of the wall.
     """
     single = max(law.loading_stiffness(case.pair, case.radius_eff, case.mass_eff, velocity) for case in pair_cases)
+    responses = [law.present_response(*case.dashpot_arguments, velocity, step) for case in pair_cases]
+    resistance = max(viscosity + 0.5 * step * stiffness for stiffness, viscosity in responses)
     radius = min(pair_case.radius for pair_case in pair_cases)
     area = area_of(wall.shape) or section(scene.domain, _unit(given))
     particle_count = sum(group.sphere_count for group in scene.particles.values())
-    return single, single * max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0)
+    return WallContacts(max(min(particle_count, area / (2.0 * sqrt(3.0) * radius**2)), 1.0), single, resistance)
 
 
 def section(domain: Domain, direction: Sequence[float] | np.ndarray) -> float:
@@ -185,6 +221,7 @@ def describe(controlled: ControlledMotion) -> Iterator[tuple[str, str]]:
     if controlled.kind == "servo":
         yield "target force", f"{controlled.force:.4g} N"
         yield "gain", f"{controlled.gain:.3g} m/(s N)"
+        yield "lag", f"{controlled.lag:.3g} steps"
         yield "maximum velocity", f"{controlled.velocity_max:.3g} m/s"
     else:
         yield "mass", f"{controlled.mass:.4g} kg"

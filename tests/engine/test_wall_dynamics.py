@@ -1,6 +1,7 @@
 """Force-controlled walls: a free piston against its equation of motion, and a servo wall that holds a pressure."""
 
 import hashlib
+import re
 import shutil
 
 import numpy as np
@@ -139,6 +140,66 @@ def test_servo_wall_holds_its_pressure_and_free_wall_its_force(taichi_f64):
     pressure, force, _ = wall_results("f64", 2)
     assert pressure == pytest.approx(PRESSURE, rel=0.01)
     assert force == pytest.approx(10.0, rel=0.01)
+
+
+SERVO = {"kind": "servo", "direction": [0, 0, -1], "force": 1.6, "velocity_max": 0.2}
+
+
+def loaded_ball(normal, restitution, fraction, motion=SERVO):
+    """A ball between the floor and a lid that presses it with 1.6 N."""
+    return build_scene(
+        {"ball": particle_group([[0.0, 0.0, RADIUS]])}, walls={"floor": FLOOR, "lid": lid(2.02 * RADIUS, motion)},
+        pair={"restitution": restitution}, normal=normal, run={"duration": 0.1, "velocity_max": 0.3},
+        numerics={"time_step_fraction": fraction},
+    )  # fmt: skip
+
+
+def largest_response(plan):
+    """Largest stiffness [N/m] and viscosity [N s/m] of the contacts of a plan."""
+    cases = [(*case.dashpot_arguments, plan.velocity_max, plan.time_step) for case in plan.pair_cases]
+    return [max(each) for each in zip(*(plan.law.present_response(*case) for case in cases), strict=True)]
+
+
+@pytest.mark.parametrize(("normal", "restitution"), [("hertz", 0.1), pytest.param("zhou", 0.2, marks=pytest.mark.slow)])
+def test_servo_comes_to_rest_on_a_contact_with_dashpot_or_stiff_unloading(taichi_f64, normal, restitution):
+    """Force 1.6 N at an elastic contact: F = k d^1.5; a plastic one has been compressed further by the approach."""
+    simulation = Simulation(loaded_ball(normal, restitution, 0.03))
+    simulation.run()
+    last = simulation.snapshot(contacts=True)
+    assert abs(last.totals["wall_velocity.lid"]) < 1e-9
+    assert last.contacts["normal_force"] == pytest.approx(1.6, rel=1e-6)
+    elastic, largest = (1.6 / AT_WALL) ** (2.0 / 3.0), last.contacts["overlap"].max()
+    assert largest > elastic if normal == "zhou" else largest == pytest.approx(elastic, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("normal", "restitution", "fraction"),
+    [("hertz", 0.9, 0.05), ("hertz", 0.05, 0.05), ("hertz", 0.05, 0.01), ("zhou", 0.0, 0.05), ("zhou", 0.1, 0.02)],
+)
+def test_lag_of_a_servo_makes_it_stable_on_all_contacts_of_the_layer(normal, restitution, fraction):
+    """Roots of the recursion of its displacement on n contacts of stiffness K and viscosity C.
+
+    x'' = x' + dt v',   v' = v + (gain (-K x' - C v) - v) / (1 + lag):  z^2 - (1 + p - b) z + p = 0
+    """
+    plan = plan_for(loaded_ball(normal, restitution, fraction))
+    (motion,), step = plan.controlled_motions, plan.time_step
+    largest_stiffness, largest_viscosity = largest_response(plan)
+    for stiffness in np.linspace(0.01, 1.0, 20) * largest_stiffness:
+        for viscosity in np.linspace(0.0, 1.0, 20) * largest_viscosity:
+            p = (motion.lag - motion.gain * viscosity) / (1.0 + motion.lag)
+            b = motion.gain * stiffness * step / (1.0 + motion.lag)
+            assert np.abs(np.roots([1.0, -(1.0 + p - b), p])).max() < 1.0
+
+
+def test_least_mass_of_a_free_wall_is_twice_that_of_stability_on_dashpots():
+    """z^2 - (2 - a - b) z + 1 - a = 0 with a = C dt/M, b = K dt^2/M for a wall of mass M; stable for 2 a + b < 4."""
+    with pytest.raises(SceneError, match="oscillates too fast") as refused:
+        plan_for(loaded_ball("hertz", 0.1, 0.05, free(1e-9)))
+    mass = float(re.search(r"set it to (\S+) kg", str(refused.value))[1])
+    plan = plan_for(loaded_ball("hertz", 0.1, 0.05, free(1.1 * mass)))
+    stiffness, viscosity = largest_response(plan)
+    a, b = viscosity * plan.time_step / mass, stiffness * plan.time_step**2 / mass
+    assert 2.0 * a + b == pytest.approx(2.0, rel=0.05), "printed with two digits"
 
 
 @pytest.mark.parametrize("precision", [pytest.param("f32", marks=pytest.mark.slow), "mixed"])

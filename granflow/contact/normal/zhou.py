@@ -17,12 +17,7 @@ from granflow.contact.model import ContactModel
 from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount, Choice
 from granflow.contact.substep_corrections import build_step_mean, turning_point
-from granflow.contact.zhou_inelastic import (
-    inelastic_force,
-    inelastic_pair,
-    is_inelastic,
-    support_energy,
-)
+from granflow.contact.zhou_inelastic import inelastic_force, inelastic_pair, is_inelastic, support_energy
 from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, reference_contact
 from granflow.contact.zhou_unloading import (
     least_restitution,
@@ -114,6 +109,11 @@ class Zhou(NormalLaw):
     def unloading_angle(self) -> float:
         """Bound on the unloading tangent, see `least_restitution`."""
         return self.angle
+
+    @property
+    def reloading_damping(self) -> float:
+        """Damping ratio of contacts that reload."""
+        return self.rest_damping
 
     def unresolved_unloading(self, pair: PairMaterial) -> float:
         """Ratio of the durations at the restitution LEAST_RESOLVED; 1 for an inelastic pair, which does not unload."""
@@ -220,25 +220,22 @@ class Zhou(NormalLaw):
         """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading [J]."""
         k, largest = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff), history.overlap_max
         e, y = self.unloading_parameters(constants, contact, history)
-        loading_work = 0.4 * k * largest * largest * ti.sqrt(largest)
         recovered = unloading_energy(k, largest, e, y, largest)
         if ti.static(self.has_inelastic):
             if inelastic_pair(constants):
                 recovered = 0.0
-        return loading_work - recovered
+        return 0.4 * k * largest * largest * ti.sqrt(largest) - recovered
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of the model for one contact, in float64."""
-        ratios = self.damping_ratio, self.rest_damping
-        return reference_contact(contact, self.restitution_at, self.angle, *ratios)
+        return reference_contact(contact, self.restitution_at, self.angle, self.damping_ratio, self.rest_damping)
 
     def phase_durations(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
     ) -> tuple[float, float]:
         """Loading and unloading durations [s] (Zhou 2011, Eqs. 13-15): eta1 Ts and eta2(e(v)) Ts."""
         k = float(theory.hertz_stiffness(pair.modulus_eff, radius_eff))
-        scale = float(theory.time_scale(k, mass_eff, velocity))
-        e = pair.restitution_at(velocity)
+        scale, e = float(theory.time_scale(k, mass_eff, velocity)), pair.restitution_at(velocity)
         return theory.LOADING_DURATION * scale, theory.unloading_duration(e) * scale
 
     def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:

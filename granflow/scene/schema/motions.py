@@ -241,7 +241,7 @@ class TableMotion(TimedMotion):
 
 
 class Servo(TimedMotion):
-    """A servo wall: its velocity is proportional to the difference between prescribed and measured force.
+    """A servo wall: its velocity follows the difference between prescribed and measured force.
 
         v = gain (F - f),      |v| <= velocity_max
 
