@@ -134,6 +134,16 @@ _PARTICLE_FIELDS = {
             block="motion", displayed=False,
         ),
         FieldSpec(
+            "velocity_remainder", "", "m/s", "part of the velocity that float32 does not resolve", "vector",
+            in_snapshot=False, dtype="real", condition=lambda features: features.velocity_remainders,
+            block="remainder", displayed=False,
+        ),
+        FieldSpec(
+            "angular_velocity_remainder", "", "rad/s", "part of the angular velocity that float32 does not resolve",
+            "vector", in_snapshot=False, dtype="real", block="remainder", displayed=False,
+            condition=lambda features: features.velocity_remainders and features.rotation,
+        ),
+        FieldSpec(
             "force", "F", "N", "total force, gravity included", "vector", dtype="real", block="force", sorted=False
         ),
         FieldSpec(

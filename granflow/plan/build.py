@@ -13,7 +13,8 @@ from granflow.load import Scene
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.damping import planned_damping, refuse_unresolved_drag
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
-from granflow.plan.features import features_of, reasons_for
+from granflow.plan.feature_reasons import reasons_for
+from granflow.plan.features import features_of
 from granflow.plan.forecast.build import forecasts_of
 from granflow.plan.forecast.sizes import size_problems
 from granflow.plan.liquid import refuse_coarse_liquid

@@ -11,7 +11,8 @@ from granflow.geometry.periodic_box import PeriodicBox
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep
 from granflow.plan.damping import PlannedDamping
 from granflow.plan.external_forces import ExternalForce
-from granflow.plan.features import Features, Reason
+from granflow.plan.feature_reasons import Reason
+from granflow.plan.features import Features
 from granflow.plan.forecast.forecast import Forecast
 from granflow.plan.max_impact_velocity import ImpactVelocity
 from granflow.plan.meshes import MeshNote

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.geometry.sphere import sphere_mass
-from granflow.plan.features import Reason
+from granflow.plan.feature_reasons import Reason
 from granflow.plan.memory_estimate import MemoryEstimate, estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.roofline import CONTACTS, GPUS, bytes_per_particle_step, particle_steps_per_second

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, times
 from scipy.integrate import solve_ivp
+from subprocess_runner import in_subprocess
 
 import granflow
 from granflow.contact import theory
@@ -31,6 +32,23 @@ def test_free_fall_is_exact(taichi_f64):
     np.testing.assert_allclose(
         column(snapshots, "velocity")[:, 0], [1.0, 0.3, 2.0] + t * acceleration, rtol=0, atol=4 * rounding
     )
+
+
+def fast_fall(precision):
+    """Change of the velocity [m/s] of a ball that falls at 8 m/s, in 40 000 steps of 50 ns."""
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, 0.5]], velocity=[0.0, 0.0, -8.0])}, gravity=[0.0, 0.0, -GRAVITY],
+        run={"duration": 2e-3, "time_step": 5e-8, "velocity_max": 9.0}, domain=cubic_domain(2.0),
+    )  # fmt: skip
+    simulation = granflow.Simulation(scene, precision=precision)
+    simulation.run()
+    return float(simulation.snapshot().particles["velocity"][0, 2]) + 8.0
+
+
+@pytest.mark.parametrize("precision", ["mixed", pytest.param("f32", marks=pytest.mark.slow)])
+def test_gravity_changes_a_fast_velocity_in_float32(precision):
+    """g dt is half of the spacing of float32 at 8 m/s, 9.5e-7 m/s, to which the result is rounded."""
+    assert in_subprocess(fast_fall, precision) == pytest.approx(-GRAVITY * 2e-3, abs=9.6e-7)
 
 
 def cubic_domain(half):
