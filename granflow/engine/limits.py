@@ -8,6 +8,7 @@ from granflow.engine.overlap_cause import SPEED_MARGIN, overlap_cause
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
+from granflow.scene.schema.run import LARGEST_OVERLAP
 
 ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = range(1, 8)
 ABORT_LIQUID = 8
@@ -75,9 +76,9 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         f"radius, more than {limit}."
     )
     if not diagnosis.begun:
-        return (
-            f"{description} They overlap initially: move them apart, or raise numerics.max_overlap if this is intended."
-        )
+        needed = float(f"{pair.overlap + 0.005:.2f}")
+        accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
+        return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
     description = f"{description} {_relative_motion(pair)}"
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"

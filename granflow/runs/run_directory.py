@@ -18,7 +18,7 @@ from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs
-from granflow.runs.previous import refuse_inputs_inside, replaced_run, results_in
+from granflow.runs.previous import PREVIOUS, refuse_inputs_inside, replaced_run, results_in
 from granflow.runs.result import Result, write_result
 
 
@@ -158,11 +158,13 @@ class RunDirectory:
     def note_on_state(self, written: bool) -> str:
         """Return a sentence for an aborted run: whether its state is `written`; empty without a path.
 
-        Waits for the frames.
+        Before the first frame of the run, the previous one will be restored, see `open`. Waits for the frames.
         """
         self.writer.wait()
         if self.path is None:
             return ""
+        if (self.path / PREVIOUS).is_dir():
+            return f" Nothing is written; {self.path} keeps the earlier run."
         if written:
             return f" The state is written to {self.path}."
         return f" The state is not finite and is not written; {self.path} contains the earlier frames."
