@@ -29,6 +29,9 @@ ABORT_REASONS = {
 }
 """Reason of each code, as in Diagnosis.reason."""
 
+FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})
+"""Reasons that a force from Python can have caused."""
+
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
 
@@ -62,7 +65,12 @@ def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
     `time`: simulated time [s] of the abort.
     """
-    return f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+    message = f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+    if diagnosis.begun and diagnosis.reason in FORCE_REASONS and plan.external_forces:
+        names = ", ".join(each.name for each in plan.external_forces)
+        noun = "forces" if len(plan.external_forces) > 1 else "force"
+        return f"{message} The {noun} from Python may also be the cause: check the values of {names}."
+    return message
 
 
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -115,9 +123,8 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that is not a number."""
     description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
     if diagnosis.pair is None:
-        return (
-            f"{description} It has no contacts: check its initial velocity and angular_velocity, or use precision f64."
-        )
+        better = "" if plan.precision == "f64" else ", or use precision f64"
+        return f"{description} It has no contacts: check its initial velocity and angular_velocity{better}."
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the time step is too long for this contact"
     )
