@@ -88,6 +88,11 @@ class Scene(SceneInput):
         Values: numbers in SI units or text with units, lists, numpy arrays, mappings. Paths in the scene are relative
         to `folder` (default: the working directory). Raises SceneError with all problems, each with its key path.
         """
+        if not isinstance(data, Mapping):
+            raise SceneError(
+                f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys to values, such as "
+                '{"title": "My scene", ...}; granflow.load_scene reads a file.'
+            )
         return cls.of(scene_in(document_of(data), folder=Path(folder or "")), read=True)
 
     @classmethod

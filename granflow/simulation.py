@@ -38,12 +38,10 @@ if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
 
 
-ATTRIBUTES = frozenset(
-    (
-        *("files", "warnings", "observers", "is_stopped", "particles", "walls", "forces"),
-        *("_state", "_loop", "_in_block", "_session"),
-    )
-)
+ATTRIBUTES = {
+    *("files", "warnings", "observers", "is_stopped", "particles", "walls", "forces"),
+    *("_state", "_loop", "_in_block", "_session"),
+}
 """Attributes of a simulation that are set; all others are read-only or do not exist."""
 
 
@@ -159,6 +157,11 @@ class Simulation:
         return self._state.progress.stage
 
     @property
+    def is_complete(self) -> bool:
+        """Whether the last stage has ended."""
+        return self._loop.stages_ended
+
+    @property
     def time(self) -> float:
         """Simulated time [s]."""
         return self.engine.time
@@ -188,7 +191,6 @@ class Simulation:
         """Run to the simulated time `until` [s], for a `duration` [s], or to the end of all stages; repeatable.
 
         Times are numbers in s, or text with a unit, such as "20 ms".
-
         After the end of the last stage, `until` and `duration` continue it: its walls, motions and observers remain.
         With `within_stages`, the run ends with the last stage instead.
         `run()` completes the run: outside of a `with` block it ends with `close`.
@@ -237,9 +239,7 @@ class Simulation:
         self._in_block = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._in_block = False
         if error is not None:
             self._session.abandon()

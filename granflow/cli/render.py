@@ -114,7 +114,9 @@ def pixel_size(text: str) -> tuple[int, int]:
     """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()) or min(int(width), int(height)) < SMALLEST:
-        raise argparse.ArgumentTypeError(f"{text} is not a size; give width and height in pixels, such as 1600x1200")
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a valid size; give width and height in pixels, each at least {SMALLEST}, such as 1600x1200"
+        )
     return int(width) // 2 * 2, int(height) // 2 * 2
 
 
@@ -168,6 +170,6 @@ def add_render(verbs: Any) -> None:
     visible = "visible part: particles and walls (all), particles, or domain (default: all)"
     add("--fit", choices=FITS, default="all", help=visible)
     add("--cut", action="store_true", help="omit the front half")
-    size = "width and height in pixels (default: 1200 high, a film 900; width from the view)"
+    size = f"width and height in pixels, each at least {SMALLEST} (default: 1200 high, a film 900; width from the view)"
     add("--size", type=pixel_size, metavar="WxH", help=size)
     add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")

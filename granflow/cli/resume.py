@@ -88,8 +88,41 @@ def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Commun
             "continue with the remaining rows with --allow-changes."
         )
     if checkpoint:
-        say(f"Continues from {checkpoint.path} at {checkpoint.time:.6g} s.")
+        say_start(simulation, scene, checkpoint, options.until)
     return run_to_end(simulation, scene, out, options.until, printed)
+
+
+def say_start(simulation: "Simulation", scene: "Scene", checkpoint: "Checkpoint", until: float | None) -> None:
+    """Print the checkpoint and its time, and whether no step is left; `until`: end of the run [s] or None.
+
+    Raises GranflowError if `until` is before the checkpoint, or after the end of a complete run.
+    """
+    time, step = simulation.time, simulation.time_step
+    if until is not None and until < time - step:
+        raise GranflowError(
+            f"--until is {until:.6g} s, but {checkpoint.path} is at {time:.6g} s: give a later time, or omit --until."
+        )
+    if until is not None and until > time + step and simulation.is_complete:
+        raise GranflowError(
+            f"--until is {until:.6g} s, but the run is complete at {time:.6g} s: {extension(scene, checkpoint, until)}."
+        )
+    say(f"Continues from {checkpoint.path} at {time:.6g} s.")
+    if simulation.is_complete:
+        longer = extension(scene, checkpoint, float(f"{2.0 * time:.2g}"))
+        say(f"The run is complete, so no step is taken. To continue it, {longer}.")
+    elif until is not None and until <= time + 0.5 * step:
+        say(f"The run is at --until {until:.6g} s, so no step is taken.")
+
+
+def extension(scene: "Scene", checkpoint: "Checkpoint", until: float) -> str:
+    """Instruction that extends a complete run to the time `until` [s]."""
+    if not scene.stages:
+        return f"extend it with --set run.duration={until:.6g}s"
+    index, stage = len(scene.stages) - 1, scene.stages[-1]
+    if stage.duration is None:  # one of its conditions is satisfied
+        return f"add a stage after {stage.name} in {checkpoint.path.with_name(SCENE)}"
+    began = checkpoint.saved["stage_progress"]["stage_times"][stage.name][0]
+    return f"extend it with --set stages.{index}.duration={until - began:.6g}s"
 
 
 def checkpoint_to_resume(
@@ -165,6 +198,8 @@ def run_to_end(
     except KeyboardInterrupt as stop:
         return print_error(stopped_where(simulation, out), exit_code_of(stop))
     show_result(scene.title, result, out)
+    if until is not None and simulation.is_complete and simulation.time < until - simulation.time_step:
+        say(f"The last stage ended at {simulation.time:.6g} s, before --until {until:.6g} s.")
     if scene.expect and not result.expectations:
         say(f"Expectations are not evaluated: --until ended the run at {simulation.time:.6g} s.")
     return 0 if all(met for _, met in result.expectations) else EXIT_EXPECTATIONS_FAILED
@@ -213,7 +248,10 @@ def add_resume(verbs: Any) -> None:
         "--from-start", action="store_true",
         help="run the scene from the start, without a checkpoint; replaces the results",
     )  # fmt: skip
-    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
+    parser.add_argument(
+        "--until", metavar="T", type=simulated_time,
+        help="stop at this simulated time, such as 0.2s, not before that of the checkpoint",
+    )  # fmt: skip
     parser.add_argument(
         "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
     )

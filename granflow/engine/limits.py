@@ -8,6 +8,7 @@ from granflow.engine.overlap_cause import SPEED_MARGIN, overlap_cause
 from granflow.plan.plan import Plan
 from granflow.plan.resolution import COARSEST, spacing_at
 from granflow.plan.travel import remedy, share_of
+from granflow.scene.schema.run import LARGEST_OVERLAP
 
 ABORT_FORCE, ABORT_DISPLACEMENT, ABORT_NOT_FINITE, ABORT_OVERLAP, ABORT_LEFT_DOMAIN, ABORT_WALL, ABORT_FAR = range(1, 8)
 ABORT_LIQUID = 8
@@ -27,6 +28,9 @@ ABORT_REASONS = {
     ABORT_LIQUID: "liquid",
 }
 """Reason of each code, as in Diagnosis.reason."""
+
+FORCE_REASONS = frozenset({"force", "displacement", "not_finite", "overlap"})
+"""Reasons that a force from Python can have caused."""
 
 NO_PARTICLE = 2**31 - 1
 """Larger than any id: kernels lower it to the smallest id that exceeds a limit."""
@@ -61,7 +65,12 @@ def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
     `time`: simulated time [s] of the abort.
     """
-    return f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+    message = f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+    if diagnosis.begun and diagnosis.reason in FORCE_REASONS and plan.external_forces:
+        names = ", ".join(each.name for each in plan.external_forces)
+        noun = "forces" if len(plan.external_forces) > 1 else "force"
+        return f"{message} The {noun} from Python may also be the cause: check the values of {names}."
+    return message
 
 
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -75,9 +84,9 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         f"radius, more than {limit}."
     )
     if not diagnosis.begun:
-        return (
-            f"{description} They overlap initially: move them apart, or raise numerics.max_overlap if this is intended."
-        )
+        needed = float(f"{pair.overlap + 0.005:.2f}")
+        accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
+        return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
     description = f"{description} {_relative_motion(pair)}"
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
@@ -114,9 +123,8 @@ def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     """Position that is not a number."""
     description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
     if diagnosis.pair is None:
-        return (
-            f"{description} It has no contacts: check its initial velocity and angular_velocity, or use precision f64."
-        )
+        better = "" if plan.precision == "f64" else ", or use precision f64"
+        return f"{description} It has no contacts: check its initial velocity and angular_velocity{better}."
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the time step is too long for this contact"
     )

@@ -1,6 +1,7 @@
 """Warnings during a run from values of the snapshots, without additional work in a step."""
 
 import logging
+from typing import Any
 
 from granflow.engine.accounting import Accounting, energy_input
 from granflow.engine.totals import LARGEST_ERROR, ROUNDING
@@ -62,6 +63,19 @@ class StabilityMonitor:
                 "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
                 "budget.",
             )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint, so that a resumed run repeats no warning."""
+        return {
+            "warnings": dict(self.warnings), "fastest": self._fastest, "initial_energy": self._initial_energy,
+            "above_since": self._above_since, "enabled": self._enabled, "started": self._started,
+        }  # fmt: skip
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`; the plan may have changed so that the energy is not conserved any more."""
+        self.warnings, self._fastest = dict(saved["warnings"]), saved["fastest"]
+        self._initial_energy, self._above_since = saved["initial_energy"], saved["above_since"]
+        self._enabled, self._started = self._enabled and saved["enabled"], saved["started"]
 
     def _gained_share(
         self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float

@@ -9,11 +9,13 @@ precision and threads can change.
 import gc
 import weakref
 from collections.abc import Hashable
+from typing import get_args
 
 from granflow.engine import backend as taichi
 from granflow.engine import foreign_fields
 from granflow.engine.backend import Arch, Backend, Precision
 from granflow.engine.state import State
+from granflow.errors import GranflowError
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.structure import fits_lists, structure_of
@@ -37,9 +39,12 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
         granflow.start("cpu", precision="mixed", threads=2)
 
     threads:  CPU threads; None: as many as this process may use
-    Raises:   GranflowError if the architecture is absent or lacks float64, or if Taichi runs with other settings and a
-              simulation, or a field of the program itself, is in use
+    Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi runs with
+              other settings and a simulation, or a field of the program itself, is in use
     """
+    for name, value, known in (("arch", arch, get_args(Arch)), ("precision", precision, get_args(Precision))):
+        if value not in known:
+            raise GranflowError(f"{name} is {value!r}; give one of {', '.join(known)}.")
     if taichi.running() is not None and not taichi.is_running_with(arch, precision, threads) and _is_unused():
         _stop()
     return taichi.start(arch, precision, threads)

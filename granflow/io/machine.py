@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from math import ceil
+from numbers import Integral
 from pathlib import Path
 
 from granflow.errors import GranflowError
@@ -59,12 +60,14 @@ def worker_count(requested: int | None, affinity: int | None = None, quota: int 
     requested:        number from the command line; None: all available cores
     affinity, quota:  cores, in place of those of the operating system
     Returns:          at most `affinity`; without a request also at most the quota
-    Raises:           GranflowError for less than one thread, with which Taichi ends the process
+    Raises:           GranflowError for less than one thread, with which Taichi ends the process, or no whole number
 
     Taichi starts at most one thread per core of the machine, and surplus threads only delay each other.
     """
-    if requested is not None and requested < 1:
-        raise GranflowError(f"threads is {requested}; give at least 1, or None for all available cores.")
+    if requested is not None and not (isinstance(requested, Integral) and requested >= 1):
+        raise GranflowError(
+            f"threads is {requested!r}; give a whole number of at least 1, or None for all available cores."
+        )
     affinity = affinity or allowed_cores()
     if requested is None:
         return min(affinity, quota or quota_cores() or affinity), ""

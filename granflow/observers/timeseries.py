@@ -121,9 +121,7 @@ class TimeSeries(ScheduledObserver):
 
     def remarks(self) -> list[str]:
         """Return sentences on the last values of the metrics, such as the reason why one is NaN."""
-        found = {
-            name: meter.remark() for name, meter in self.meters["metrics"].items() if isinstance(meter, MetricMeter)
-        }
+        found = {name: meter.remark for name, meter in self.meters["metrics"].items() if isinstance(meter, MetricMeter)}
         return [f"output.metrics.{name}: {sentence}." for name, sentence in found.items() if sentence]
 
     def _named(self, kind: str) -> Iterator[tuple[str, FlowCount | WallForceMeter | MetricMeter]]:

@@ -22,7 +22,10 @@ ROUNDING = 1e-5
 MOST_IDS = 2**31 - 1
 """Largest number of ids of a run."""
 
-KEYS = ("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "rank_files", "engine")
+KEYS = (
+    *("stage_progress", "wall_clock", "plan", "changes", "earlier", "insertion", "observers", "rank_files"),
+    *("stability", "engine", "warnings"),
+)
 """Keys of the state of a run."""
 
 
@@ -42,6 +45,9 @@ def check_run(checkpoint: Checkpoint, before: Scene, decided: dict[str, object])
             raise each.mismatch("a number or a text")
     for name in part["earlier"].items():
         name.text(list(before.particles))
+    for sentence in part["warnings"].items():
+        sentence.text()
+    _check_stability(part["stability"])
     for key in ("insertion", "observers", "engine"):
         part[key].mapping()
     clock = part["engine"]["clock"]
@@ -132,6 +138,19 @@ def _check_conditions(conditions: Part) -> None:
     conditions["last_row"].number(0.0, LARGEST_REAL)
     if conditions["met"].value is not None:
         conditions["met"].integer(0, count - 1)
+
+
+def _check_stability(stability: Part) -> None:
+    """Check the warnings, numbers and flags of the stability monitor."""
+    stability.mapping(("warnings", "fastest", "initial_energy", "above_since", "enabled", "started"))
+    for sentence in stability["warnings"].parts():
+        sentence.text()
+    stability["fastest"].number(0.0)
+    stability["initial_energy"].number()
+    if stability["above_since"].value is not None:
+        stability["above_since"].number(0.0)
+    stability["enabled"].flag()
+    stability["started"].flag()
 
 
 def _check_servo_samples(samples: Part, motion_count: int) -> None:

@@ -83,7 +83,8 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     `allow_changes`: accept differences in keys that must normally not change when a run continues.
 
     Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
-    of the plan differ, or if a wall would jump by more than MAX_JUMP of the smallest radius. Raises CheckpointError if
+    of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if the present stage would
+    have ended before. Raises CheckpointError if
     the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
@@ -100,7 +101,23 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved, checkpoint.time)
     check_engine(checkpoint, plan, before)
-    return Change(differences(before, now))
+    change = Change(differences(before, now))
+    _refuse_past_end(checkpoint, now, change)
+    return change
+
+
+def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:
+    """Raise GranflowError if `scene` changes the duration of the present stage to one that it has already exceeded."""
+    stage_times = checkpoint.saved["stage_progress"]["stage_times"]
+    index, (name, (began, _)) = len(stage_times) - 1, list(stage_times.items())[-1]
+    keys = ("run.duration", f"stages.{index}.duration", f"stages.{index}.max_duration")
+    lasted, step = checkpoint.time - began, checkpoint.saved["engine"]["clock"]["time_step"]
+    for each in change.differences:
+        if each.key in keys and each.now is not None and each.now < lasted - step:
+            raise GranflowError(
+                f"{each.key} is {each.now:.6g} s, but at {checkpoint.path} stage {name} has already lasted "
+                f"{lasted:.6g} s: give at least this duration."
+            )
 
 
 def _refuse_other_numbers(checkpoint: Checkpoint, plan: Plan) -> None:

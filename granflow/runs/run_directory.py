@@ -18,7 +18,7 @@ from granflow.load import Scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs
-from granflow.runs.previous import refuse_inputs_inside, replaced_run, results_in
+from granflow.runs.previous import PREVIOUS, refuse_inputs_inside, replaced_run, results_in
 from granflow.runs.result import Result, write_result
 
 
@@ -69,6 +69,8 @@ class RunDirectory:
         An error before `began` moves the previous results back. A resumed run restores the files of its `observers`.
         The end of the block waits for the frames.
         """
+        if self._resumed is not None:
+            self._warnings = list(self._resumed.saved["warnings"])
         with ExitStack() as stack:
             if self.path is not None:
                 stack.enter_context(locked(self.path))
@@ -124,11 +126,16 @@ class RunDirectory:
         written = self._checkpoints.last_time if self._checkpoints is not None else None
         return self._resumed.time if written is None and self._resumed is not None else written
 
+    @property
+    def warnings(self) -> list[str]:
+        """All warnings so far, those before the resumed checkpoint included, each once."""
+        return list(dict.fromkeys([*self._warnings, *self._recorded]))
+
     def save(self, time: float, step: int, state: SavedBy) -> None:
-        """Write a checkpoint of the state at `time` [s]. Raises OSError if it cannot be written."""
+        """Write a checkpoint of the state at `time` [s], with the warnings. Raises OSError if it cannot be written."""
         if self._checkpoints is not None:
             began = clock.perf_counter()
-            self._checkpoints.write(time, step, state)
+            self._checkpoints.write(time, step, lambda writer: state(writer) | {"warnings": self.warnings})
             self._log.info("checkpoint at %.6g s, written in %.3g s", time, clock.perf_counter() - began)
 
     def save_if_due(self, time: float, step: int, state: SavedBy) -> None:
@@ -150,7 +157,7 @@ class RunDirectory:
     def write(self, result: Result) -> Result:
         """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
         self.writer.wait()
-        result = replace(result, warnings=tuple(dict.fromkeys([*self._warnings, *self._recorded])))
+        result = replace(result, warnings=tuple(self.warnings))
         if self.path is not None:
             write_result(self.path, result)
         return result
@@ -158,11 +165,13 @@ class RunDirectory:
     def note_on_state(self, written: bool) -> str:
         """Return a sentence for an aborted run: whether its state is `written`; empty without a path.
 
-        Waits for the frames.
+        Before the first frame of the run, the previous one will be restored, see `open`. Waits for the frames.
         """
         self.writer.wait()
         if self.path is None:
             return ""
+        if (self.path / PREVIOUS).is_dir():
+            return f" Nothing is written; {self.path} keeps the earlier run."
         if written:
             return f" The state is written to {self.path}."
         return f" The state is not finite and is not written; {self.path} contains the earlier frames."

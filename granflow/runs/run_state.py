@@ -68,6 +68,7 @@ class RunState:
             "earlier": self._earlier,
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
+            "stability": self.engine.stability_monitor.state_dict(),
             "rank_files": rank_file_entries(self.engine, writer),
             "engine": saved_state(self.engine),
         }
@@ -90,6 +91,7 @@ class RunState:
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
         engine.set_stage(progress.stage)
+        engine.stability_monitor.load_state_dict(saved["stability"])
         self.insertion.load_state_dict(saved["insertion"], engine)
         for name, observer in observers.items():
             if name in saved["observers"]:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
@@ -43,12 +44,13 @@ class TimeLoop:
         return self.state.progress.has_ended(self.engine.plan.stages[-1].name)
 
     def run(self, end: float, within_stages: bool = False) -> None:
-        """Run the stages that have not ended, to their ends or to `end` [s].
+        """Run the stages that have not ended, to their ends or to `end` [s]; the first one begins in any case.
 
         A finite `end` after that of the last stage is reached too, unless `within_stages`.
 
         Raises StopRun if an observer ends the run, RunError on an abort.
         """
+        self._begin_run()
         for stage in self.engine.plan.stages:
             if self.state.progress.has_ended(stage.name):
                 continue
@@ -70,9 +72,7 @@ class TimeLoop:
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:
-            self._begin_stage(stage, stage.longest / REST_CHECKS)
-            progress.servos.begin(self.engine, stage.longest)
-            progress.conditions.begin(stage, self.engine.time)
+            self._begin_stage(stage)
         stop = progress.stage_times[stage.name][0] + stage.longest
         while progress.conditions.met is None and (
             progress.target is not None or not self.engine.reached(min(stop, end))
@@ -92,27 +92,31 @@ class TimeLoop:
         progress.servos.warn_at_end(self.engine, stage.name)
         progress.end(self.engine.time)
 
-    def _begin_stage(self, stage: PlannedStage, check_interval: float) -> None:
-        """Begin a stage: place its walls, insert due particles, compute the forces.
+    def _begin_run(self) -> None:
+        """Begin the first stage and notify all observers, unless this is done: the run has then begun."""
+        if self.state.progress.stage_times:
+            return
+        self._begin_stage(self.engine.plan.stages[0])
+        try:
+            self._notify(self.state.observers.notify_all)
+        except StopRun:
+            self.files.began()
+            raise
+        self.files.began()
 
-        At the first stage, notify all observers; the run has then begun.
-        """
-        progress, first = self.state.progress, not self.state.progress.stage_times
+    def _begin_stage(self, stage: PlannedStage) -> None:
+        """Begin a stage: place its walls, insert due particles, compute the forces."""
+        progress = self.state.progress
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
         self.state.prepare()
-        progress.begin(stage.name, self.engine.time, check_interval)
+        progress.begin(stage.name, self.engine.time, stage.longest / REST_CHECKS)
         self.engine.set_stage(stage.name)
         progress.set_walls(self.engine)
         self.state.insertion.insert_due(self.engine)
         self.engine.refresh()
         self._abort_if_diagnosed()
-        if first:
-            try:
-                self._notify(self.state.observers.notify_all)
-            except StopRun:
-                self.files.began()
-                raise
-            self.files.began()
+        progress.servos.begin(self.engine, stage.longest)
+        progress.conditions.begin(stage, self.engine.time)
 
     def _notify(self, notify: Callable[..., object], *arguments: object) -> None:
         """Call a method of the observer list with a function that takes the snapshot; its time counts as output."""
@@ -195,7 +199,9 @@ class TimeLoop:
             self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
 
     def save(self) -> None:
-        """Write a checkpoint with the changes from Python; nothing without an output directory."""
+        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a directory."""
+        with suppress(StopRun):
+            self._begin_run()
         self.prepare()
         with self.state.wall_clock.measuring_output():
             self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)

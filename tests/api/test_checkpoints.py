@@ -1,5 +1,6 @@
 """Changes from Python in checkpoints: a resumed run equals an uninterrupted one."""
 
+import logging
 import shutil
 
 import numpy as np
@@ -21,6 +22,28 @@ def scene():
     groups = {"balls": particle_group([[0.02 * k, 0.0, 0.0055] for k in range(3)], velocity=[0.0, 0.0, -0.1])}
     parts = {"gravity": [0.0, 0.0, -9.81], "pair": {"friction": 0.3}, "run": {"duration": 0.01}, "output": OUTPUT}
     return build_scene(groups, walls=walls, **parts)
+
+
+def warn(snapshot):
+    if snapshot.time < 3e-3:
+        logging.getLogger("granflow").warning("early")
+
+
+def test_result_of_a_resumed_run_has_the_warnings_of_all_parts(tmp_path, taichi_f64):
+    """A warning in the first half, and one on the last value of a metric; the last resume takes no step."""
+    metrics = {"mix": {"kind": "lacey", "groups": ["balls"], "cell": 0.02, "at_least": 9}}
+    data = scene().model_dump(by_alias=True, exclude_none=True)
+    mixed = gf.Scene.from_dict(data | {"output": data["output"] | {"metrics": metrics}})
+    found = []
+    for out, until in (("whole", None), ("part", 5e-3), ("part", None), ("part", None)):
+        resume = tmp_path / out if (tmp_path / out).exists() else None
+        given = [gf.on_interval(1e-3, warn)]
+        with gf.Simulation(mixed, out=tmp_path / out, resume=resume, observers=given) as simulation:
+            simulation.run(until)
+        found.append(gf.read_run(tmp_path / out).result.warnings)
+    early, excluded = found[0]
+    assert early == "early" and excluded.startswith("output.metrics.mix: the Lacey index excludes 100%")
+    assert found[1:] == [found[0]] * 3
 
 
 def drag(position, velocity, radius, mass, time, parameters):

@@ -185,6 +185,22 @@ def test_a_scene_without_forces_has_no_arrays_for_them(taichi_f64):
         assert state.control.force_clock is None and "external_work" not in simulation.snapshot().totals
 
 
+def invalid(position, velocity, radius, mass, time, parameters):
+    return parameters.acceleration * ti.sqrt(parameters.limit - position[0])
+
+
+@pytest.mark.parametrize("acceleration", [1.0, 1e9])
+def test_the_message_of_an_abort_names_the_force(taichi_f64, acceleration):
+    """The square root is not a number beyond the limit; the large force exceeds the displacement limit before."""
+    force = gf.ParticleForce(invalid, {"limit": 1e-3, "acceleration": [acceleration, 0.0, 0.0]})
+    with gf.Simulation(flying(), forces=[force]) as simulation, pytest.raises(gf.RunError) as stopped:
+        simulation.run()
+    message = str(stopped.value)
+    assert ("is not a number. It has no contacts" in message) == (acceleration == 1.0)
+    assert message.endswith("The force from Python may also be the cause: check the values of invalid.")
+    assert "f64" not in message
+
+
 def scalar(position, velocity, radius, mass, time, parameters):
     return mass
 

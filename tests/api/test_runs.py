@@ -37,6 +37,19 @@ def test_run_in_parts_writes_the_files_of_one_run(tmp_path, taichi_f64):
     assert (tmp_path / "parts" / "result.json").exists()
 
 
+@pytest.mark.parametrize("begin", [lambda s: s.run(until=0), lambda s: s.step(0), lambda s: s.save()])
+def test_a_run_that_ended_at_its_start_can_be_resumed(tmp_path, taichi_f64, begin):
+    with gf.Simulation(falling(), out=tmp_path / "whole") as simulation:
+        simulation.run()
+    with gf.Simulation(falling(), out=tmp_path / "part") as simulation:
+        begin(simulation)
+        assert simulation.time == 0.0
+    with gf.Simulation(falling(), out=tmp_path / "part", resume=tmp_path / "part") as simulation:
+        simulation.run()
+    first, second = files_of(tmp_path / "part"), files_of(tmp_path / "whole")
+    assert first == second and "particles.pvd" in first and len(first) > 4
+
+
 def test_a_result_between_two_rows_does_not_change_the_energy_error(tmp_path, taichi_f64):
     """The energy input is largest when the ball is lowest, at about 0.72 ms, between the rows at 0.5 and 1 ms."""
     groups = {"ball": particle_group([[0.0, 0.0, 0.0055]], velocity=[0.0, 0.0, -1.0])}

@@ -138,6 +138,13 @@ def test_other_settings_are_refused_while_a_simulation_is_in_use(taichi_f64):
         assert simulation.particles.position.shape == (1, 3)
 
 
+def test_unknown_precision_and_architecture_are_refused_with_the_known_ones():
+    with pytest.raises(gf.GranflowError, match="^precision is 'f16'; give one of f64, f32, mixed\\.$"):
+        gf.Simulation(scene(), precision="f16")
+    with pytest.raises(gf.GranflowError, match="^arch is 'tpu'; give one of cpu, cuda, vulkan, gpu\\.$"):
+        gf.start("tpu")
+
+
 def test_dictionary_of_a_scene_gives_an_equal_one():
     first = gf.load_scene(Path(__file__).parents[2] / "scenes" / "hopper.yaml")
     second = gf.Scene.from_dict(first.to_dict(), first.folder)

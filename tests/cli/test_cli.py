@@ -29,7 +29,7 @@ def stubs(monkeypatch, tmp_path):
     calls = types.SimpleNamespace(raises=None, expectations=(), warnings=())
 
     class Simulation:
-        time = 0.25
+        time, is_complete = 0.25, False
         files = types.SimpleNamespace(checkpoint_time=0.25)
 
         def __init__(self, scene, **options):

@@ -1,5 +1,7 @@
 """The default thread count follows CPU affinity, cgroup quota and Slurm; --threads cannot exceed the cores."""
 
+import re
+
 import pytest
 
 from granflow.errors import GranflowError
@@ -79,6 +81,8 @@ def test_affinity_replaces_the_core_count_of_the_machine(monkeypatch):
     assert allowed_cores() == 1
 
 
-def test_less_than_one_thread_is_refused():
-    with pytest.raises(GranflowError, match=r"^threads is 0; give at least 1, or None for all available cores\.$"):
-        worker_count(0)
+@pytest.mark.parametrize("threads", [0, 2.5, "2"])
+def test_a_number_of_threads_that_is_not_valid_is_refused(threads):
+    message = f"threads is {threads!r}; give a whole number of at least 1, or None for all available cores."
+    with pytest.raises(GranflowError, match=f"^{re.escape(message)}$"):
+        worker_count(threads)

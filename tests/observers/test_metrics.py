@@ -76,7 +76,7 @@ def test_lacey_index_reports_the_component_in_cells_with_few_particles():
         group = np.where(np.arange(count) < 1000, np.arange(count) % 2 * (count == 1000), 1)
         arrays = {"position": points[:count], "group": group, "fixed": np.zeros(count, np.uint8)}
         meter.update(snapshot_of(count, particles=particles_of(count, **arrays)))
-        assert meter.remark().startswith("the Lacey index excludes 100% of the particles of one") == expected
+        assert meter.remark.startswith("the Lacey index excludes 100% of the particles of one") == expected
 
 
 def test_segregation_intensity_in_closed_form():
@@ -303,9 +303,9 @@ def test_upward_direction_is_opposite_to_gravity():
     meter = metric_meters(plan_for(scene))["heap"]
     meter.update(snapshot_of(particles=particles))
     assert meter.readings()["angle_of_repose"] == pytest.approx(np.radians(24.0), abs=np.radians(1.5))
-    assert meter.remark() == ""
+    assert meter.remark == ""
     meter.update(snapshot_of(1.0, particles=particles | {"coordination_number": np.zeros(count)}))
-    assert meter.remark() == ("the angle of repose is NaN: there are no particles with enough contacts in the region")
+    assert meter.remark == ("the angle of repose is NaN: there are no particles with enough contacts in the region")
 
 
 def test_mean_covers_the_last_stage_and_skips_nan():

@@ -48,6 +48,14 @@ def test_restart_during_insertion_and_deletion_is_bit_identical(tmp_path, taichi
         assert len(checkpoint.saved["engine"]["contacts"]["partner"]) > 20
         resume_copy(scene, tmp_path / "whole", tmp_path / name, checkpoint.path)
         assert_identical(tmp_path / "whole", tmp_path / name)
+    simulation = Simulation(scene, out=tmp_path / "start", threads=2)
+    simulation.run(until=0)
+    simulation.free()
+    simulation = Simulation(scene, out=tmp_path / "start", threads=2, resume=tmp_path / "start")
+    simulation.run()
+    simulation.free()
+    (tmp_path / "start" / "checkpoint_000000000000.npz").unlink()
+    assert_identical(tmp_path / "whole", tmp_path / "start")
     last = read_checkpoint(checkpoints[-1]).saved["engine"]
     assert last["accounting"]["deleted_count"] > early.saved["engine"]["accounting"]["deleted_count"]
     plastic, friction, rolling, _, wall_work = exact_totals(last["energy_budget"]["losses"], 1.0)

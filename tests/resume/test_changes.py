@@ -5,6 +5,7 @@ import pytest
 from resume.runs import complex_scene
 from scene_builders import build_scene, particle_group, plane
 
+from granflow.cli.main import main
 from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
@@ -148,6 +149,61 @@ def test_changed_time_step_is_rejected_despite_allow_changes(checkpoint):
 def test_disabled_friction_is_rejected(checkpoint):
     with pytest.raises(GranflowError, match="friction was True and would be False with this scene"):
         Simulation(falling_particles(friction=0.0), resume=checkpoint)
+
+
+@pytest.mark.parametrize("allow_changes", [False, True])
+def test_duration_that_has_passed_is_rejected(checkpoint, allow_changes):
+    """The checkpoint is at 15 ms of the first stage."""
+    stages = [{"name": "hold", "duration": 0.01}, {"name": "fall", "duration": 0.02}]
+    message = r"stages.0.duration is 0.01 s, but at .* stage hold has already lasted 0.015\d* s: give at least this"
+    with pytest.raises(GranflowError, match=message):
+        Simulation(falling_particles(stages=stages), resume=checkpoint, allow_changes=allow_changes)
+
+
+def files_in(out):
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != ".lock"}
+
+
+@pytest.mark.parametrize(("until", "code"), [("5 ms", 2), ("15 ms", 0)])
+def test_end_before_the_checkpoint_is_rejected_and_one_at_it_takes_no_step(checkpoint, capsys, until, code):
+    out = checkpoint.path.parent
+    before = files_in(out)
+    assert main(["resume", str(out), "--until", until]) == code
+    printed = capsys.readouterr()
+    if code:
+        assert f"--until is 0.005 s, but {checkpoint.path} is at 0.015" in printed.err
+        assert files_in(out) == before
+    else:
+        assert "The run is at --until 0.015 s, so no step is taken." in printed.out
+        assert newest_checkpoint(out)[0].time == checkpoint.time
+
+
+def complete_run(out, **parts):
+    """Runs one particle at rest to the end; returns the simulation and the files."""
+    with Simulation(build_scene({"ball": particle_group([[0.0] * 3])}, **parts), out=out) as simulation:
+        simulation.run()
+    return simulation, files_in(out)
+
+
+def test_complete_run_is_extended_as_the_message_states(taichi_f64, tmp_path, capsys):
+    simulation, files = complete_run(tmp_path, run={"duration": 1e-3})
+    assert main(["resume", str(tmp_path), "--until", "3 ms"]) == 2
+    message = f"granflow: --until is 0.003 s, but the run is complete at {simulation.time:.6g} s: extend it with "
+    assert capsys.readouterr().err == f"{message}--set run.duration=0.003s.\n"
+    assert files_in(tmp_path) == files
+    assert main(["resume", str(tmp_path)]) == 0
+    assert "The run is complete, so no step is taken. To continue it, extend it with" in capsys.readouterr().out
+    assert main(["resume", str(tmp_path), "--until", "4 ms", "--set", "run.duration=0.003s"]) == 0
+    assert ", before --until 0.004 s." in capsys.readouterr().out
+    assert newest_checkpoint(tmp_path)[0].time == pytest.approx(3e-3, abs=simulation.time_step)
+
+
+def test_complete_run_whose_last_stage_has_a_condition_needs_another_stage(taichi_f64, tmp_path, capsys):
+    stages = [{"name": "rest", "kinetic_energy_below": 1.0, "max_duration": 1e-3}]
+    _, files = complete_run(tmp_path, run={}, stages=stages)
+    assert main(["resume", str(tmp_path), "--until", "3 ms"]) == 2
+    assert f"add a stage after rest in {tmp_path / 'scene_as_run.yaml'}." in capsys.readouterr().err
+    assert files_in(tmp_path) == files
 
 
 def test_start_from_copies_the_last_state_of_another_run(checkpoint, restored_particles):

@@ -12,7 +12,7 @@ import pytest
 from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
-from granflow.errors import GranflowError, OutputError
+from granflow.errors import GranflowError, OutputError, RunError
 from granflow.io import checkpoint as format_of
 from granflow.io import checkpoint_file, frames
 from granflow.io.checkpoint import write_checkpoint
@@ -148,6 +148,13 @@ def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
     succeeding.free()
     assert not (out / "previous_run").exists()
     assert b"old" not in contents(out).values() and (out / "notes.txt").exists()
+
+
+def test_abort_at_the_start_keeps_the_previous_run_and_says_so(out):
+    with Simulation(build_scene({"balls": particle_group([[0.0] * 3] * 2)}), out=out, overwrite=True) as simulation:
+        with pytest.raises(RunError, match=f"Nothing is written; {out} keeps the earlier run.$"):
+            simulation.run()
+    assert contents(out) == as_bytes(OLD) | OTHER_FILES
 
 
 def test_start_from_in_the_output_directory_is_rejected(tmp_path):

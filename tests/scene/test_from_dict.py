@@ -33,6 +33,12 @@ def test_problems_name_the_key_path():
     assert "seed: a value is of type object; give a number, text, list or mapping." in problems(seed=object())
 
 
+@pytest.mark.parametrize("data", [[], None, "scene.yaml", [("title", "A scene")]])
+def test_an_object_that_is_no_mapping_is_refused(data):
+    with pytest.raises(SceneError, match=f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys"):
+        Scene.from_dict(data)
+
+
 def test_missing_keys_have_the_position_of_their_parent():
     without = {key: value for key, value in described().items() if key != "gravity"}
     with pytest.raises(SceneError, match="^scene: gravity is missing"):

@@ -66,6 +66,7 @@ def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):
         ("time / wall_presure.lid", "has no column wall_presure.lid. Did you mean wall_pressure.lid?"),
         ("__import__('os')", "has no column __import__"),
         ("time if time else 1", "has no column if"),
+        ("nonsense", "has no column nonsense. The columns are time, "),
         ("time +", "neither a column of timeseries.csv nor an arithmetic expression"),
         ("[time]", "neither a column"),
         ("time < 1", "neither a column"),

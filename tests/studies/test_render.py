@@ -172,6 +172,15 @@ def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, c
     assert "is not a " in capsys.readouterr().err
 
 
+def test_message_and_help_of_size_state_the_minimum(run, capsys):
+    with pytest.raises(SystemExit):
+        main(["render", str(run), "--size", "160x120"])
+    assert "160x120 is not a valid size; give width and height in pixels, each at least 200" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["render", "--help"])
+    assert "each at least 200" in " ".join(capsys.readouterr().out.split())
+
+
 def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     assert main(["render", str(run)]) == 2

@@ -114,6 +114,8 @@ CHANGES = {
     "plan": (put("plan", value={}), "plan has the keys none"),
     "value of the plan": (put("plan", "time_step", value=[]), "must be a number or a text"),
     "groups of an earlier run": (put("earlier", value=[3]), "earlier/0 is 3"),
+    "warnings": (put("warnings", value=[3]), "warnings/0 is 3"),
+    "stability": (put("stability", "fastest", value=None), "stability/fastest is None"),
     "no engine": (put("engine", value=None), "must be a mapping"),
 }
 

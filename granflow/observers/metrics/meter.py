@@ -10,17 +10,20 @@ class MetricMeter:
     """Evaluates `measure` for snapshots with the parts `wants`; values by name in METRIC_QUANTITIES.
 
     The mean restarts with each stage. Values that are NaN (not defined for the present state) do not enter the mean.
-    `remark`: returns a sentence on the last evaluation, for a warning at the end of the run, or an empty text.
+    `remark`: of the last evaluation, a sentence for a warning at the end of the run, or an empty text.
+
+    get_remark:  function that returns the remark after an evaluation
     """
 
     def __init__(
         self,
         measure: Callable[[Snapshot], Mapping[str, float]],
         wants: frozenset[str],
-        remark: Callable[[], str] = lambda: "",
+        get_remark: Callable[[], str] = lambda: "",
     ) -> None:
         self.wants = wants
-        self._measure, self.remark = measure, remark
+        self._measure, self._get_remark = measure, get_remark
+        self.remark = ""
         self._stage = ""
         self._last: dict[str, float] = {}
         self._sums: dict[str, float] = {}
@@ -31,6 +34,7 @@ class MetricMeter:
         if snapshot.stage != self._stage:
             self._stage, self._sums, self._counts = snapshot.stage, {}, {}
         self._last = {name: float(value) for name, value in self._measure(snapshot).items()}
+        self.remark = self._get_remark()
         for name, number in self._last.items():
             known = number == number
             self._sums[name] = self._sums.get(name, 0.0) + (number if known else 0.0)
@@ -48,10 +52,11 @@ class MetricMeter:
         return self._last | means
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stage, the last values, and the sums and counts of the stage."""
-        return {"stage": self._stage, "last": self._last, "sums": self._sums, "counts": self._counts}
+        """Return the stage, the last values and their remark, and the sums and counts of the stage."""
+        sums = {"sums": self._sums, "counts": self._counts}
+        return {"stage": self._stage, "last": self._last, "remark": self.remark, **sums}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
-        self._stage, self._last = saved["stage"], saved["last"]
+        self._stage, self._last, self.remark = saved["stage"], saved["last"], saved["remark"]
         self._sums, self._counts = saved["sums"], saved["counts"]

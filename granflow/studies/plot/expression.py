@@ -48,7 +48,7 @@ def _value(columns: Mapping[str, SeriesColumn], text: str, source: str) -> np.nd
     coded = pattern.sub(lambda found: f"_{known.index(found[0])}", text)
     for word in WORD.findall(coded):
         if word not in FUNCTIONS and not (word[1:].isdecimal() and word.startswith("_")):
-            raise GranflowError(f"{source} has no column {word}. {suggestion_sentence(word, columns, 'column')}")
+            raise GranflowError(f"{source} has no column {word}. {suggestion_sentence(word, columns, 'columns')}")
     try:
         tree = ast.parse(coded.strip(), mode="eval").body
         with np.errstate(all="ignore"):
