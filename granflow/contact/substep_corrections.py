@@ -13,6 +13,10 @@ import numpy as np
 
 from granflow.device_functions import ti
 
+TOUCHING = 1.0 + 1e-6
+"""Largest overlap of the first step of a contact over the travel in this step: a contact whose surfaces touch exactly
+at a time level has no force there, and the overlap of the next level is that travel, but for rounding."""
+
 
 @ti.func
 def turning_point(largest, force, mass_eff, time_step, overlap_rate_half):
@@ -50,7 +54,8 @@ def build_step_mean(power: float) -> Any:
     """Device function (overlap, rate, time_step) -> (overlap_at, weight): mean of d^power over the step, 0 for d < 0.
 
     The mean is weight overlap_at^power. In the first step of a contact, which also covers the time since first contact,
-    it is the integral over [0, d + h/2]; later the mean over [d - h/2, d + h/2] to second order (h = |d'| dt):
+    or since the surfaces touched at the previous time level, it is the integral over [0, d + h/2]; later the mean over
+    [d - h/2, d + h/2] to second order (h = |d'| dt):
 
         (d + h/2)^(p + 1) / ((p + 1) h)            d^p (1 + p (p - 1) / 24 (h/d)^2)
     """
@@ -59,7 +64,7 @@ def build_step_mean(power: float) -> Any:
     @ti.func
     def step_mean(overlap, rate, time_step):
         travel = ti.abs(rate) * time_step
-        first = overlap < rate * time_step
+        first = overlap <= TOUCHING * rate * time_step
         overlap_at = ti.select(first, overlap + 0.5 * travel, overlap)
         ratio = ti.select(first, overlap_at, ti.min(travel, overlap)) / ti.select(first, travel, overlap)
         return overlap_at, ti.select(first, ratio / (power + 1.0), 1.0 + curvature * ratio * ratio)
@@ -75,7 +80,7 @@ def reference_step_mean(power: float, overlap: float, rate: float, time_step: fl
     time_step:  [s]
     """
     travel = abs(rate) * time_step
-    if overlap < rate * time_step:
+    if overlap <= TOUCHING * rate * time_step:
         return float((overlap + 0.5 * travel) ** (power + 1.0) / ((power + 1.0) * travel))
     share = min(travel / overlap, 1.0)
     return float(overlap**power * (1.0 + power * (power - 1.0) / 24.0 * share**2))

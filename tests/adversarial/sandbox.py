@@ -132,5 +132,6 @@ def as_unprivileged_user() -> None:
 
 
 def restore_interrupts() -> None:
-    """A `preexec_fn` that restores the SIGINT handler: background processes of a shell ignore SIGINT."""
+    """A `preexec_fn`: background processes of a shell ignore SIGINT, those of nohup SIGHUP, and a run inherits that."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -18,9 +18,9 @@ LARGEST_ANGLE = 0.9
 """Largest unloading angle; stability of a dense bed requires 4 theta^2 < 4 (`granflow.plan.time_step.stable_step`)."""
 
 TIME_STEP_FRACTION = 0.05
-"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then within 0.25 %
-of the given one for every contact model and every restitution from 0.5 up. Large scenes use up to 0.3 where a few
-tenths of a percent are enough: table in the documentation, Accuracy."""
+"""Default of `time_step_fraction`: 40 steps per collision of an elastic contact. The restitution is then within 0.3 %
+of the given one for every contact model and every restitution from 0.5 up, with dashpots within 1.4 % at 0.05. Large
+scenes use up to 0.3 where a few tenths of a percent are enough: table in the documentation, Accuracy."""
 
 Fraction = Annotated[float, Number(noun="a fraction", above=0, at_most=1)]
 OverlapLimit = Annotated[float, Number(noun="an overlap limit", above=0, at_most=LARGEST_OVERLAP)]
@@ -69,7 +69,8 @@ class Numerics(Model):
     time_step_fraction: Fraction = Field(
         TIME_STEP_FRACTION,
         description="largest time step over the shortest loading or unloading time; with the default the restitution "
-        "of every contact model is within 0.25 %; 0.2 is within 0.3 % for zhou, 0.1 within 1 % for viscous models",
+        "is within 0.02 % for zhou, for viscous models within 0.3 % from 0.5 on and 1.4 % at 0.05; 0.2 is within "
+        "0.3 % for zhou, 0.1 within 1 % for viscous models from 0.5 on",
     )
     rayleigh_fraction: Fraction = Field(0.2, description="largest time step over the Rayleigh time")
     skin: q.AutoLength = Field("auto", description="skin of the neighbor list [m], or auto")
