@@ -126,8 +126,7 @@ def _servo(
         location = scene.locate("walls", wall.name, "motion", number, "gain")
         raise SceneError(
             f"{location}: walls.{wall.name}.motion.gain is {given.gain:.3g} m/(s N), but from {max_gain:.3g} on "
-            f"the wall overshoots at every step of {step:.3g} s. Without the key it is "
-            f"{default_gain:.2g}."
+            f"the wall overshoots at every step of {step:.3g} s. Without the key it is {default_gain:.2g}."
         )
     force = given.force
     if force is None:
