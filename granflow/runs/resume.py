@@ -12,6 +12,7 @@ from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
 from granflow.io.checkpoint import Checkpoint
 from granflow.load import Scene, scene_of
+from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import Plan
 from granflow.plan.walls import StageTimes, planned_motions, wall_motions
 from granflow.runs.checkpoint_validation import check_engine, check_run
@@ -84,8 +85,7 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
 
     Raises GranflowError with all differences that are not permitted, unless `allow_changes`; and always if the numbers
     of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if the present stage would
-    have ended before. Raises CheckpointError if
-    the state does not match its scene or the plan.
+    have ended before. Raises CheckpointError if the state does not match its scene or the plan.
     """
     saved = checkpoint.saved
     # Both scenes are read from text, so that only differences of the text count.
@@ -100,10 +100,23 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
         )
     _refuse_other_numbers(checkpoint, plan)
     _refuse_jumps(before, plan, saved, checkpoint.time)
+    if before.run.precision != now.run.precision:
+        _change_remainders(saved["engine"]["particles"], plan)
     check_engine(checkpoint, plan, before)
     change = Change(differences(before, now))
     _refuse_past_end(checkpoint, now, change)
     return change
+
+
+def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:
+    """Add remainders of velocities, which are zero, or remove them, as the precision of the plan needs."""
+    wanted = saved_arrays(particle_arrays(plan))
+    for name in ("velocity", "angular_velocity"):
+        remainder = f"{name}_remainder"
+        if remainder not in wanted:
+            particles.pop(remainder, None)
+        elif name in particles:
+            particles[remainder] = np.zeros_like(particles[name])
 
 
 def _refuse_past_end(checkpoint: Checkpoint, scene: Scene, change: Change) -> None:

@@ -1,5 +1,8 @@
 """Changes of a scene that resume accepts or rejects, and runs that start from the last state of another run."""
 
+from copy import deepcopy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from resume.runs import complex_scene
@@ -138,6 +141,16 @@ def test_changed_domain_is_rejected_without_allow_changes(checkpoint):
     assert [
         each.key for each in accepted_change(checkpoint, other, plan_for(other), allow_changes=True).differences
     ] == ["domain.max"]
+
+
+def test_changed_precision_adds_and_removes_the_remainders_of_velocities(checkpoint):
+    continued = replace(checkpoint, saved=deepcopy(checkpoint.saved))
+    particles = continued.saved["engine"]["particles"]
+    for precision, exists in (("mixed", True), ("f64", False)):
+        other = falling_particles(run={"time_step": 1e-5, "velocity_max": 1.0, "precision": precision})
+        accepted_change(continued, other, plan_for(other), allow_changes=True)
+        assert ("velocity_remainder" in particles) == ("angular_velocity_remainder" in particles) == exists
+        continued = replace(continued, scene=other.to_yaml())
 
 
 def test_changed_time_step_is_rejected_despite_allow_changes(checkpoint):
