@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import signal
 import subprocess
 import sys
 
@@ -37,3 +38,9 @@ def each_in_subprocess(function, calls, seconds=200):
     if done.returncode:
         raise RuntimeError(f"{function.__name__} failed in a subprocess:\n{done.stderr[-3000:]}")
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def restore_interrupts():
+    """A `preexec_fn`: background processes of a shell ignore SIGINT, those of nohup SIGHUP, and a run inherits that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)

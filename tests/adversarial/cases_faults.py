@@ -11,8 +11,9 @@ from pathlib import Path
 from adversarial.beads import beads
 from adversarial.case import Case
 from adversarial.runs import IDENTICAL, assert_undisturbed, case, killed_run, partial_run, reference, write_scene
-from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited, restore_interrupts
+from adversarial.sandbox import FinishedProcess, Sandbox, Skip, as_unprivileged_user, limited
 from resume.faults import assert_complete
+from subprocess_runner import restore_interrupts
 
 RESTARTS = 3
 """Number of times a run is killed before it is resumed to its end."""

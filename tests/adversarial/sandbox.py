@@ -129,9 +129,3 @@ def as_unprivileged_user() -> None:
     if os.geteuid() == 0:
         os.setgid(65534)
         os.setuid(65534)
-
-
-def restore_interrupts() -> None:
-    """A `preexec_fn`: background processes of a shell ignore SIGINT, those of nohup SIGHUP, and a run inherits that."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)

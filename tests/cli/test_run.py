@@ -13,6 +13,7 @@ from pathlib import Path
 import meshio
 import pytest
 from adversarial.beads import BEADS
+from subprocess_runner import restore_interrupts
 
 SCENE = (
     BEADS
@@ -213,11 +214,6 @@ def test_check_reports_too_small_a_region(home):
     rejected = granflow(home, "check", "beads.yaml", "--set", "particles.beads.count=1000")
     assert rejected.returncode == 2
     assert "particles.beads.count is 1000, but only" in rejected.stderr
-
-
-def restore_interrupts():
-    """Restores the default SIGINT handler: background processes of a shell ignore SIGINT, and the run inherits that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

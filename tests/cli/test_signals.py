@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from subprocess_runner import restore_interrupts
 
 pytestmark = [pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"), pytest.mark.slow]  # needs idle cores
 
@@ -28,11 +29,6 @@ domain: {min: [-1, -1, -0.1], max: [1.5, 1.5, 1], on_exit: delete}
 output: {interval: 10 ms}
 run: {velocity_max: 5 m/s, duration: 1000 s}
 """
-
-
-def restore_interrupts():
-    """Restores the SIGINT handler: background processes of a shell ignore SIGINT, and the run inherits that."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def started(home, count=2000, *arguments):
