@@ -24,11 +24,11 @@ def build_changed(state: State, name: str) -> Any:
 
     @ti.func
     def changed(i, change):
-        before, whole = velocity[i], change
+        before = velocity[i]
+        after = before + change
         if ti.static(keeps_remainder):
             whole = change + remainder[i]
-        after = before + whole
-        if ti.static(keeps_remainder):
+            after = before + whole
             remainder[i] = whole - (after - before)
         return after
 
