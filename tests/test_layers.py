@@ -1,10 +1,9 @@
-"""Structure of the package: imports between layers, layers that use Taichi, length of functions."""
+"""Structure of the package: imports between layers, layers that use Taichi."""
 
 import ast
 import subprocess
 from functools import cache
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -56,10 +55,6 @@ STUDIES_IMPORT = {
     "granflow.visible_text",
 }
 """Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.schema`."""
-LONGEST_FUNCTION, MEDIAN_FUNCTION = 60, 8
-"""Lines of a function with those nested in it, and median of all functions without them."""
-LONGEST_FILE = 300
-LONG_FUNCTION, SHARE_OF_LONG_FUNCTIONS = 30, 0.1
 FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
 TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
 
@@ -111,13 +106,6 @@ def functions():
         for node in ast.walk(tree):
             if isinstance(node, FUNCTION_NODES):
                 yield f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node
-
-
-def own_lines(node):
-    """The number of lines of a function, without the lines of functions nested in it."""
-    inner = (n for n in ast.walk(node) if n is not node and isinstance(n, FUNCTION_NODES))
-    lines = set(range(node.lineno, node.end_lineno + 1))
-    return len(lines.difference(*(range(n.lineno, n.end_lineno + 1) for n in inner)))
 
 
 def test_every_module_belongs_to_a_layer():
@@ -201,20 +189,6 @@ def test_package_inits_only_re_export(name):
         return is_docstring or isinstance(node, (ast.Import, ast.ImportFrom))
 
     assert not [ast.unparse(node) for node in modules()[name][1].body if not is_re_export(node)]
-
-
-def test_functions_are_short():
-    whole = {where: node.end_lineno - node.lineno + 1 for where, node in functions()}
-    assert not {where: lines for where, lines in whole.items() if lines > LONGEST_FUNCTION}
-    lengths = {where: own_lines(node) for where, node in functions()}
-    assert median(lengths.values()) <= MEDIAN_FUNCTION
-    long = {where: lines for where, lines in lengths.items() if lines > LONG_FUNCTION}
-    assert len(long) <= SHARE_OF_LONG_FUNCTIONS * len(lengths), long
-
-
-def test_files_are_short():
-    lengths = {str(path.relative_to(PACKAGE)): len(path.read_text().splitlines()) for path, _ in modules().values()}
-    assert not {name: lines for name, lines in lengths.items() if lines > LONGEST_FILE}
 
 
 def test_host_functions_of_the_taichi_layers_are_annotated():
