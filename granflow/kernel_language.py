@@ -38,7 +38,7 @@ def __getattr__(name: str) -> Any:
         if error.name != KERNELS:
             raise
         raise GranflowError(
-            f"{KERNELS} is not installed: run pip install 'granflow[quadrants]', or unset {VARIABLE}."
+            f"{KERNELS} is not installed: run pip install 'quadrants<1.4', or unset {VARIABLE}."
         ) from None
     if KERNELS == "taichi":
         shorten_front_end(module.lang.kernel_impl, module.lang.struct)

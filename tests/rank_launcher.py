@@ -14,7 +14,7 @@ MPIRUN = str(WHEEL_MPIRUN) if WHEEL_MPIRUN.exists() else which("mpirun")
 MISSING = ""
 """Why ranks cannot be started; empty if they can."""
 if find_spec("mpi4py") is None:
-    MISSING = "needs mpi4py: pip install 'granflow[mpi]'"
+    MISSING = "needs mpi4py: pip install mpi4py"
 elif MPIRUN is None:
     MISSING = "needs mpirun: pip install mpich"
 

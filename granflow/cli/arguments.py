@@ -69,7 +69,7 @@ def add_allow_long(parser: argparse.ArgumentParser) -> None:
 def add_mpi(parser: argparse.ArgumentParser) -> None:
     """Add --mpi."""
     parser.add_argument(
-        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs granflow[mpi]"
+        "--mpi", action="store_true", help="distribute the particles over the ranks of mpirun; needs mpi4py"
     )
 
 

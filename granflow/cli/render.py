@@ -68,7 +68,7 @@ def film(options: argparse.Namespace, frames: "list[Frame]", style: "PictureStyl
     if missing:
         paths = write_pictures(options.directory, frames, style)
         say(f"{len(paths)} images from {paths[0]} to {paths[-1]}")
-        return print_error(f"An animation requires {missing}, which is not installed: pip install granflow[plot]")
+        return print_error(f"An animation requires {missing}, which is not installed: pip install {missing}")
     path = options.out or options.directory / "pictures" / f"{name_of(style).replace('picture', 'film', 1)}.mp4"
     path.parent.mkdir(parents=True, exist_ok=True)
     with deferred_to_event(STOPPING) as (stop, signals):

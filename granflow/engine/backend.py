@@ -209,7 +209,7 @@ def refuse_unreliable_vulkan(devices: Sequence[VulkanDevice]) -> None:
     if KERNELS == "taichi":
         raise GranflowError(
             "Taichi 1.7 overwrites fields on Vulkan and ends after some 12000 launches. Run pip install "
-            f"'granflow[quadrants]' and set {VARIABLE}=quadrants, or leave out --arch to run on the CPU."
+            f"'quadrants<1.4' and set {VARIABLE}=quadrants, or leave out --arch to run on the CPU."
         )
     used = used_device(devices)
     if used is not None and used.is_wrong:

@@ -26,7 +26,7 @@ class Communicator:
         except (ImportError, RuntimeError) as error:
             reason = str(error).splitlines()[0]
             raise GranflowError(
-                f"--mpi needs mpi4py and an MPI library ({reason}): pip install 'granflow[mpi]' mpich."
+                f"--mpi needs mpi4py and an MPI library ({reason}): pip install mpi4py mpich."
             ) from None
         self._mpi, self._world = MPI, MPI.COMM_WORLD
         self.rank, self.size = self._world.rank, self._world.size

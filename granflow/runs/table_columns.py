@@ -52,7 +52,7 @@ class Columns(Mapping[str, np.ndarray]):
             import pandas
         except ImportError:
             raise GranflowError(
-                "A DataFrame requires pandas, which is not installed: pip install granflow[notebook], or use the numpy "
+                "A DataFrame requires pandas, which is not installed: pip install pandas, or use the numpy "
                 "arrays of timeseries_arrays."
             ) from None
         frame = pandas.DataFrame(dict(self._arrays))

@@ -66,7 +66,7 @@ def require_plotting() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise GranflowError("Figures require matplotlib, which is not installed: pip install granflow[plot]") from None
+        raise GranflowError("Figures require matplotlib, which is not installed: pip install matplotlib") from None
 
 
 def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:

@@ -88,7 +88,7 @@ def test_time_series_is_a_data_frame(run, monkeypatch):
     assert isinstance(table, pandas.DataFrame) and table.attrs["units"]["kinetic_energy"] == "J"
     assert table["kinetic_energy"].tolist() == run.timeseries_arrays["kinetic_energy"].tolist()
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(gf.GranflowError, match=r"requires pandas.*pip install granflow\[notebook\], or use the numpy"):
+    with pytest.raises(gf.GranflowError, match=r"requires pandas.*pip install pandas, or use the numpy"):
         _ = run.timeseries
 
 

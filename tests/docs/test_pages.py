@@ -58,6 +58,15 @@ def test_code_in_tutorials_is_not_wider_than_the_page():
     assert len(lines) > 100 and [each for each in lines if len(each[1]) > 95] == []
 
 
+def test_no_text_advises_to_install_granflow_by_name():
+    """There is no granflow on PyPI, and anyone can take the name: messages name the missing packages instead."""
+    advice = re.compile(r"granflow\[|(?:pip|uv|uvx|pipx|conda)\W+(?:install|add) [\'\"\\]*granflow")
+    for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*"), *(ROOT / "granflow").rglob("*")):
+        if path.suffix in (".md", ".ipynb", ".html", ".py", ".yaml"):
+            text = re.sub(r'"\n\s*f?"', "", path.read_text(encoding="utf-8"))  # joins the strings of a message
+            assert not advice.findall(text), path
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("tutorial", TUTORIALS)
 def test_tutorial_works_as_written(tutorial, tmp_path):

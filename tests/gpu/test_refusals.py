@@ -27,7 +27,7 @@ def refusal(monkeypatch, language, *devices):
 
 def test_taichi_on_vulkan_is_refused_with_the_remedy(monkeypatch):
     message = refusal(monkeypatch, "taichi", CARD)
-    assert "pip install 'granflow[quadrants]'" in message and "GRANFLOW_KERNELS=quadrants" in message
+    assert "pip install 'quadrants<1.4'" in message and "GRANFLOW_KERNELS=quadrants" in message
 
 
 def test_old_llvmpipe_is_refused(monkeypatch):

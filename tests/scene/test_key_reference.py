@@ -1,10 +1,13 @@
 """Reference of scene keys in the terminal: paths, facts of a key, keys of a block, suggestions."""
 
 import json
+import re
 
 import pytest
 
+import granflow as gf
 from granflow.cli.main import main
+from granflow.contact import registry
 from granflow.scene.reference.key_paths import places_of
 from granflow.scene.reference.schema_keys import all_keys, keys, parts, places
 from granflow.scene.reference.terminal import reference_of
@@ -51,6 +54,30 @@ def test_a_block_lists_its_keys_and_a_union_its_variants():
     assert "\n  corner " in reference_of("walls.rectangle")
     first_level = reference_of("")
     assert all(f"\n  {name} " in f"\n{first_level}" for name in parts()["scene"]["properties"])
+
+
+def test_every_block_begins_with_its_path():
+    """The first line of each text, which the terminal shows above the keys."""
+    for places_of_part in places().values():
+        for place in places_of_part:
+            heading = reference_of(place).splitlines()[0]
+            assert heading.strip() and heading[0] != " ", place
+
+
+def test_words_that_are_allowed_alone_are_those_that_a_scene_accepts():
+    """The words and the laws in the reference of `contact.normal` are those that the block accepts, and no others."""
+    text = " ".join(reference_of("contact.normal").partition("\n\n")[0].split())
+    words, laws = re.search(r"allowed (.*); mapping with law: (.*) default ", text).groups()
+    rest = {"tangential": "none", "rolling": "none"}
+    for law in laws.split(", "):
+        try:
+            gf.Contact(normal=law, **rest)
+        except gf.SceneError:
+            assert law not in words.split(", ")
+        else:
+            assert law in words.split(", ")
+    assert set(laws.split(", ")) == set(registry.models("normal"))
+    assert text.startswith(f"contact.normal meaning {words.replace(', ', ' or ')}, or {{law: NAME, ...}} with")
 
 
 def test_the_command_prints_the_reference_or_the_json_schema(capsys):

@@ -12,7 +12,7 @@ def test_missing_matplotlib_is_reported_with_the_install_command(monkeypatch, tm
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["paper", "--out", str(tmp_path / "paper")]) == 2
     message = capsys.readouterr().err
-    assert "pip install granflow[plot]" in message and "Traceback" not in message
+    assert "pip install matplotlib" in message and "Traceback" not in message
     assert not (tmp_path / "paper").exists()
 
 

@@ -184,7 +184,7 @@ def test_message_and_help_of_size_state_the_minimum(run, capsys):
 def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     assert main(["render", str(run)]) == 2
-    assert "pip install granflow[plot]" in capsys.readouterr().err
+    assert "pip install pyvista matplotlib" in capsys.readouterr().err
 
 
 def test_vectors_are_colored_by_magnitude_or_component():

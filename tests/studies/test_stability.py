@@ -164,7 +164,7 @@ def test_missing_matplotlib_omits_only_the_figure(monkeypatch, tmp_path, capsys)
     monkeypatch.setitem(report.EXPLANATIONS, "family", "What it is.")
     assert main(["stability", "--out", str(tmp_path)]) == 1
     message = capsys.readouterr().out
-    assert "pip install granflow[plot]" in message
+    assert "pip install matplotlib" in message
     assert "family: the row, 1: defect: silent error 40 %" in message
     with (tmp_path / "stability.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

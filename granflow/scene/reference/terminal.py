@@ -32,6 +32,8 @@ def _lines(place: Place) -> Iterator[str]:
     """Lines of a key with its facts, or of a block with its keys."""
     if place.key is not None and place.key.schema:
         yield from _key_lines(place.key, place.path)
+    elif len(place.parts) != MOST_VARIANTS or not variant(place.parts[0]):
+        yield place.path or ROOT
     if len(place.parts) > MOST_VARIANTS:
         yield from ("", f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:")
         yield from _columns([(_name(part), _first_sentence(part)) for part in place.parts])
@@ -56,7 +58,7 @@ def _part_lines(place: Place, part: str) -> Iterator[str]:
     if variant(part):
         yield f"{place.path} with {variant(part)}".strip()
     description = "" if part == ROOT else str(parts()[part].get("description", ""))
-    yield from ("", *(f"  {line}".rstrip() for line in description.splitlines()), "")
+    yield from ("", *(f"  {line}".rstrip() for line in description.splitlines()), *([""] if description else []))
     rows = []
     for key in keys(part):
         default = "; required" if key.is_required else f"; default: {key.default}"

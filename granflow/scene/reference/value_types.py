@@ -26,8 +26,9 @@ def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
 
 
 def range_text(schema: dict[str, Any]) -> str:
-    """Allowed values: bounds of numbers, words, lengths of lists; empty if there is no limit."""
-    return "; ".join(dict.fromkeys(_ranges(schema)))
+    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no limit."""
+    found = list(dict.fromkeys(_ranges(schema)))
+    return "; ".join([*found, *_mappings(schema)] if found else found)
 
 
 def first_key(part: str) -> str:
@@ -77,6 +78,17 @@ def _ranges(schema: dict[str, Any]) -> Iterator[str]:
             yield f"at least {each['minItems']} item"
         for inner in [*each.get("prefixItems", ())[:1], *([each["items"]] if "items" in each else [])]:
             yield from _ranges(inner)
+
+
+def _mappings(schema: dict[str, Any]) -> Iterator[str]:
+    """Mappings that a key accepts, by the key that selects them: `law`: `linear`, `luding`."""
+    selected: dict[str, list[str]] = {}
+    for each in alternatives(schema):
+        if part := referenced(each):
+            key, _, word = (variant(part) or first_key(part)).partition(": ")
+            selected.setdefault(key, []).extend([f"`{word}`"] if word else [])
+    for key, words in selected.items():
+        yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
 
 
 def _bounds(schema: dict[str, Any]) -> Iterator[str]:

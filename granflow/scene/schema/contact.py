@@ -85,13 +85,15 @@ def use_registry() -> None:
 def _normal() -> tuple[Any, Any]:
     """Annotation and field of `normal`, whose value is always a mapping or expanded to one."""
     models = registry.models("normal")
+    words = tuple(name for name, model in models.items() if not model.needs_options)
     annotation: Any = Annotated[
         Union[tuple(Annotated[_model(model), Tag(f"<{name}>")] for name, model in models.items())],  # noqa: UP007
         choose_by_key("law"),
         shorthand("law"),
-        ShortForm(tuple(name for name, model in models.items() if not model.needs_options)),
+        ShortForm(words),
     ]
-    return annotation, Field(description=f"{_either(list(models))}, or a mapping with `law` and its parameters")
+    description = f"{_either([*words])}, or {{law: NAME, ...}} with the options of {_either([*models])}"
+    return annotation, Field(description=description)
 
 
 def _slot(slot: str) -> tuple[Any, Any]:

@@ -26,13 +26,13 @@ def calibrate(
     Returns:  one row per parameter: value in the best trial, optimum_of_fit and its standard_deviation (SI),
               identified, remark. `attrs`: loss, and the lists targets and conflicts
     Raises:   GranflowError with all problems of the calibration, if no trial was completed, or if Optuna or pandas
-              (pip install granflow[calibrate]) is missing
+              (pip install pandas) is missing
     """
     try:
         import pandas
     except ImportError:
         raise GranflowError(
-            "granflow.calibrate returns a DataFrame of pandas, which is not installed: pip install granflow[calibrate]"
+            "granflow.calibrate returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
     study = read_calibration(source)
     result = run_calibration(study, Path(out or Path("out") / study.name), jobs, threads)

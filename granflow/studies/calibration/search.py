@@ -179,9 +179,7 @@ def require_optuna(method: str) -> Any:
         import optuna
         import optuna.storages.journal
     except ImportError:
-        raise GranflowError(
-            "Calibration requires Optuna, which is not installed: pip install granflow[calibrate]"
-        ) from None
+        raise GranflowError("Calibration requires Optuna, which is not installed: pip install optuna cmaes") from None
     for name, package in (("cma_es", "cmaes"), ("gp", "torch")):
         if method == name:
             try:

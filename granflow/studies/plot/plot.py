@@ -73,7 +73,7 @@ def _write_page(path: Path, panels: Sequence[Panel], logarithmic: str, title: st
     """Write a page with an interactive plot for each panel."""
     script = library()
     if not script:
-        raise GranflowError("Interactive plots require plotly, which is not installed: pip install granflow[plot]")
+        raise GranflowError("Interactive plots require plotly, which is not installed: pip install plotly")
     plots = [_plot(panel, logarithmic) for panel in panels]
     if "x" not in logarithmic:
         _share_x(plots, np.concatenate([curve.x for panel in panels for curve in panel.curves]))

@@ -52,7 +52,7 @@ def require_pyvista() -> Any:
         from vtkmodules.vtkCommonCore import vtkLogger
     except ImportError as error:
         raise GranflowError(
-            f"Pictures require {error.name}, which is not installed: pip install granflow[plot]"
+            f"Pictures require {error.name}, which is not installed: pip install pyvista matplotlib"
         ) from None
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # no messages about missing displays
     return pyvista

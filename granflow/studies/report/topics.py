@@ -20,7 +20,7 @@ from granflow.studies.report.series import groups_of, largest_of, negligible_col
 from granflow.studies.tables import PageTable
 from granflow.visible_text import in_degrees, readable
 
-NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[plot], then granflow report again."
+NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then granflow report again."
 
 
 class Topic(NamedTuple):

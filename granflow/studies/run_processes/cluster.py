@@ -49,7 +49,7 @@ def batch_cluster(system: str, path: Path, profile: BatchProfile, threads: int) 
         import dask_jobqueue
     except ImportError:
         raise GranflowError(
-            "Batch systems require dask-jobqueue, which is not installed: pip install granflow[cluster]"
+            "Batch systems require dask-jobqueue, which is not installed: pip install dask-jobqueue"
         ) from None
     if threads > profile.cores:
         raise GranflowError(

@@ -82,7 +82,7 @@ def _dask(workers: Workers) -> Iterator[tuple[Executor, Slots]]:
         from distributed import Client
     except ImportError:
         raise GranflowError(
-            "Runs on a scheduler require Dask, which is not installed: pip install granflow[cluster]"
+            "Runs on a scheduler require Dask, which is not installed: pip install 'dask[distributed]'"
         ) from None
     if workers.batch and profile:
         with batch_cluster(*workers.batch, profile, workers.threads) as cluster, Client(cluster) as client:

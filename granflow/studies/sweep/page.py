@@ -16,7 +16,7 @@ from granflow.studies.sweep.table import SweepTable
 from granflow.studies.tables import PageTable
 
 PAGE = "sweep.html"
-NO_LIBRARY = "Plots require plotly, which is not installed: pip install granflow[sweep], then repeat the command."
+NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then repeat the command."
 
 
 def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:

@@ -36,7 +36,7 @@ def sobol_indices(sweep: SweepInput, table: SweepTable) -> tuple[list[SobolIndic
     try:
         from SALib.analyze import sobol
     except ImportError:
-        return [], "Sobol indices require SALib, which is not installed: pip install granflow[sweep]"
+        return [], "Sobol indices require SALib, which is not installed: pip install SALib"
     problem = {"num_vars": len(table.parameters), "names": list(table.parameters)}
     found, missing = [], []
     for name in table.quantities:

@@ -28,13 +28,13 @@ def sweep(
     threads:    CPU threads of each run
     scheduler:  address of a Dask scheduler, such as tcp://10.0.0.1:8786; default: processes on this machine
     Returns:    columns as in sweep.csv: parameters, status, reason, seconds [s], quantities [SI], run directories
-    Raises:     GranflowError with all problems of the sweep, or if pandas (pip install granflow[sweep]) is missing
+    Raises:     GranflowError with all problems of the sweep, or if pandas (pip install pandas) is missing
     """
     try:
         import pandas
     except ImportError:
         raise GranflowError(
-            "granflow.sweep returns a DataFrame of pandas, which is not installed: pip install granflow[sweep]"
+            "granflow.sweep returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
     study = read_sweep(source)
     table = run_sweep(study, Path(out or Path("out") / study.name), Workers(jobs, threads, scheduler), arch)
