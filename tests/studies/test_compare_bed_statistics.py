@@ -8,11 +8,16 @@ from granflow.studies.compare.bed_statistics import FORCE_EDGES, BedHeights, Con
 from granflow.studies.compare.contact_durations import ContactFollower, FollowedContacts, bursts, median_of, survival
 
 
-def snapshot(time, pairs=(), forces=None, stage="run", particles=None):
-    """Snapshot with contacts (id_i, id_j, wall)."""
+def snapshot(time, pairs=(), forces=None, stage="run", particles=None, branches=None):
+    """Snapshot with contacts (id_i, id_j, wall), and branch vectors if pairs have several contacts."""
     rows = np.array(pairs, dtype=np.int64).reshape(-1, 3)
     force = np.ones(len(rows)) if forces is None else np.asarray(forces, dtype=float)
-    contacts = {"id_i": rows[:, 0], "id_j": rows[:, 1], "wall": rows[:, 2], "normal_force": force}
+    start = np.ones((len(rows), 3))
+    end = start + (np.zeros((len(rows), 3)) if branches is None else np.asarray(branches, dtype=float))
+    contacts = {
+        "id_i": rows[:, 0], "id_j": rows[:, 1], "wall": rows[:, 2], "normal_force": force,
+        "position_i": start, "position_j": end,
+    }  # fmt: skip
     return Snapshot(time, 0, stage, particles or {}, contacts, {}, {})
 
 
@@ -46,6 +51,24 @@ def test_contacts_without_force_are_ignored():
     for time, force in ((0.0, 0.0), (1.0, 2.0), (2.0, 0.0)):
         follower.update(snapshot(time, [A], [force]))
     assert [values.tolist() for values in record.arrays()] == [[1.0], [True]]
+
+
+def test_several_contacts_of_one_pair_are_followed_by_their_direction():
+    """A particle in a mesh groove: on the left face from 0.5 to 4.5 s, on the right one from 1.5 to 2.5 s.
+
+    The contact turns as the particle moves, and its row changes with the order of the triangles.
+    """
+    record = FollowedContacts()
+    follower = ContactFollower(record)
+    left, right = (-1.0, 0.0, -1.0), (1.0, 0.0, -1.0)
+    follower.update(snapshot(0.0))
+    follower.update(snapshot(1.0, [WALL], branches=[left]))
+    follower.update(snapshot(2.0, [WALL, WALL], branches=[right, (-1.1, 0.0, -0.9)]))
+    follower.update(snapshot(3.0, [WALL], branches=[(-1.2, 0.0, -0.8)]))
+    follower.update(snapshot(4.0, [WALL], branches=[left]))
+    follower.update(snapshot(5.0))
+    seen, ended = record.arrays()
+    assert sorted(seen.tolist()) == [1.0, 4.0] and ended.all()
 
 
 def test_survival_matches_kaplan_and_meier():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,26 +45,28 @@ class ContactFollower:
 
     def __init__(self, followed: FollowedContacts) -> None:
         self._followed = followed
-        self._keys = np.empty(0, dtype=np.int64)
+        self._contacts = ActingContacts(np.empty(0, dtype=np.int64), np.empty((0, 3)))
         self._since = np.empty(0)
         self._time = np.nan
 
     def update(self, snapshot: Snapshot) -> None:
         """Add a sample; the snapshot must contain contacts."""
-        keys = keys_of(snapshot)
+        contacts = acting_contacts(snapshot)
         if np.isnan(self._time):
-            since = np.full(len(keys), -np.inf)
+            since = np.full(len(contacts.keys), -np.inf)
         else:
             middle = 0.5 * (self._time + snapshot.time)
-            self._record(~np.isin(self._keys, keys), middle, has_ended=True)
-            since = np.full(len(keys), middle)
-            _, old, new = np.intersect1d(self._keys, keys, assume_unique=True, return_indices=True)
+            old, new = continued(self._contacts, contacts)
+            has_ended = np.ones(len(self._contacts.keys), dtype=bool)
+            has_ended[old] = False
+            self._record(has_ended, middle, has_ended=True)
+            since = np.full(len(contacts.keys), middle)
             since[new] = self._since[old]
-        self._keys, self._since, self._time = keys, since, snapshot.time
+        self._contacts, self._since, self._time = contacts, since, snapshot.time
 
     def close(self) -> None:
         """End the burst."""
-        self._record(np.ones(len(self._keys), dtype=bool), self._time, has_ended=False)
+        self._record(np.ones(len(self._since), dtype=bool), self._time, has_ended=False)
 
     def _record(self, selected: np.ndarray, time: float, has_ended: bool) -> None:
         """Add the selected contacts that began within the burst, with durations up to `time` [s]."""
@@ -71,17 +74,60 @@ class ContactFollower:
         self._followed.add(time - began[np.isfinite(began)], has_ended)
 
 
-def keys_of(snapshot: Snapshot) -> np.ndarray:
-    """One integer key (n,) int64 per contact with a force above zero; it depends on the two partners only.
+class ActingContacts(NamedTuple):
+    """Contacts with a force above zero: integer key (n,) of the two partners, and branch vector (n, 3) [m].
 
-    Walls have numbers from FIRST_WALL_KEY on, above all ids.
+    A pair has several contacts where a particle is in contact with several triangles of one mesh, two clumps with
+    several of their spheres, or two particles directly and across a periodic face; these have equal keys.
+    """
+
+    keys: np.ndarray
+    branch: np.ndarray
+
+
+def acting_contacts(snapshot: Snapshot) -> ActingContacts:
+    """The contacts of a snapshot with a force above zero; keys and branch vectors depend on the two partners only.
+
+    Walls have numbers from FIRST_WALL_KEY on, above all ids. The branch vector points from the lower to the higher one.
     """
     contacts = snapshot.contacts
     assert contacts is not None
     first, second, wall = (contacts[name].astype(np.int64) for name in ("id_i", "id_j", "wall"))
     other = np.where(wall >= 0, FIRST_WALL_KEY + wall, second)
     low, high = np.minimum(first, other), np.maximum(first, other)
-    return (low * KEY_BASE + high)[contacts["normal_force"] > 0.0]
+    branch = np.where((first <= other)[:, None], 1.0, -1.0) * (contacts["position_j"] - contacts["position_i"])
+    acting = contacts["normal_force"] > 0.0
+    return ActingContacts((low * KEY_BASE + high)[acting], branch[acting])
+
+
+def continued(before: ActingContacts, after: ActingContacts) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (m,) of the contacts that continue from one sample to the next, in the first and in the second one.
+
+    The contact of a pair with one contact in both samples continues. Of a pair with several, those with the nearest
+    branch vectors are the same contact, the nearest two first.
+    """
+    rows_before, rows_after = _rows_by_key(before.keys), _rows_by_key(after.keys)
+    found: list[tuple[int, int]] = []
+    for key in rows_before.keys() & rows_after.keys():
+        old, new = rows_before[key], rows_after[key]
+        if len(old) == len(new) == 1:
+            found.append((old[0], new[0]))
+            continue
+        distance = np.linalg.norm(before.branch[old][:, None] - after.branch[new][None], axis=2)
+        for _ in range(min(len(old), len(new))):
+            i, j = np.unravel_index(np.argmin(distance), distance.shape)
+            found.append((old[i], new[j]))
+            distance[i, :] = distance[:, j] = np.inf
+    pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _rows_by_key(keys: np.ndarray) -> dict[int, list[int]]:
+    """Rows of each key."""
+    found: dict[int, list[int]] = {}
+    for row, key in enumerate(keys.tolist()):
+        found.setdefault(key, []).append(row)
+    return found
 
 
 def survival(observed: np.ndarray, has_ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
