@@ -71,13 +71,37 @@ def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):
         ("[time]", "neither a column"),
         ("time < 1", "neither a column"),
         ("abs", "neither a column"),
-        ("9**9**9**9", "neither a column"),
+        ("_0", "has no column _0"),
+        ("\uff3f0", "neither a column"),
+        ("_99 + time", "has no column _99"),
+        ("-" * 100_000 + "1", "neither a column"),
         ("(" * 500 + "time" + ")" * 500, "neither a column"),
     ],
 )
 def test_text_that_is_no_quantity_is_refused_with_one_sentence(run, text, sentence):
     with pytest.raises(GranflowError, match=re.escape(sentence)):
         value(run, text)
+
+
+@pytest.mark.parametrize(
+    ("y", "sentence"),
+    [
+        ("(-8)**0.5", "'(-8)**0.5' over 'time' has no finite value"),
+        ("9**9**9**9", "has no finite value"),
+        ("1 / (time - time)", "has no finite value"),
+        ("wall_pressure.lid / 0", "has no finite value"),
+        ("8e307 * time", "reach 1.6e+308, but at most 1e+250 can be drawn: divide them"),
+    ],
+)
+def test_a_quantity_that_cannot_be_drawn_is_refused_with_one_sentence(run, capsys, y, sentence):
+    assert main(["plot", str(run), "--y", "wall_pressure.lid", y]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not list(run.glob("*.png"))
+
+
+def test_logarithmic_axis_without_positive_values_is_refused(run, capsys):
+    assert main(["plot", str(run), "--y", "0 * time - 1", "--log", "y"]) == 2
+    assert "--log y needs positive values, but 0 * time - 1 has none: omit --log y." in capsys.readouterr().err
 
 
 def test_quantities_of_one_unit_share_a_panel_and_runs_are_named_by_their_directories(run):

@@ -17,6 +17,10 @@ MOST_CURVES = 18
 """Largest number of curves of a panel: nine colors with two line styles each."""
 
 
+LARGEST = 1e250
+"""Largest value that can be drawn: ranges and margins of axes, their products and powers must be finite numbers."""
+
+
 @dataclass(frozen=True)
 class Curve:
     """One curve: its name in the legend, and values (n,) of x and y."""
@@ -38,12 +42,13 @@ class Panel:
 def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequence[str] = ()) -> list[Panel]:
     """One panel for each unit of the quantities `y`, with the curves of all sources over `x`.
 
-    `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages, and for
-    more curves than MOST_CURVES.
+    `stages`: only rows of these stages; empty: all rows. Raises GranflowError for unknown columns or stages, for
+    quantities without a finite value or with values above LARGEST, and for more curves than MOST_CURVES.
     """
     found = [series_of(source, x) for source in sources]
     names = short_names(sources)
     panels: dict[str, list[tuple[str, SeriesColumn, SeriesColumn]]] = {}
+    drawn: dict[str, list[np.ndarray]] = {text: [] for text in y}
     for name, (path, series) in zip(names, found, strict=True):
         rows = _rows(series, stages, path)
         horizontal = quantity_of(series, x, str(path))
@@ -51,7 +56,10 @@ def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequenc
             column = quantity_of(series, text, str(path))
             label = ", ".join([name] * (len(found) > 1) + [_label(column)] * (len(y) > 1)) or _label(column)
             parts = (_selected(horizontal, rows), _selected(column, rows))
+            drawn[text].append(_points(*parts))
             panels.setdefault(column.unit, []).append((label, *parts))
+    for text, points in drawn.items():
+        _refuse_what_cannot_be_drawn(x, text, np.concatenate(points), found[0][0] if len(found) == 1 else None)
     largest = max(len(curves) for curves in panels.values())
     if largest > MOST_CURVES:
         raise GranflowError(
@@ -59,6 +67,30 @@ def panels_of(sources: Sequence[Path], x: str, y: Sequence[str], stages: Sequenc
             "runs."
         )
     return [_panel(curves) for curves in panels.values()]
+
+
+def _points(horizontal: SeriesColumn, vertical: SeriesColumn) -> np.ndarray:
+    """Points (n, 2) of a curve with two finite coordinates."""
+    points = np.stack([horizontal.values, vertical.values], axis=1)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _refuse_what_cannot_be_drawn(x: str, y: str, points: np.ndarray, path: Path | None) -> None:
+    """Raise GranflowError for a quantity without a finite point in all sources, and for too large values.
+
+    `points` (n, 2): of the quantity `y` over `x` in all sources; `path`: file of the only source.
+    """
+    if not len(points):
+        raise GranflowError(
+            f"'{y}' over '{x}' has no finite value in the selected rows of {path or 'any of the runs'}: there is "
+            "nothing to draw. Choose another quantity, or other --stages."
+        )
+    for text, largest in zip((x, y), np.abs(points).max(axis=0), strict=True):
+        if largest > LARGEST:
+            raise GranflowError(
+                f"Values of '{text}' reach {largest:.3g}, but at most {LARGEST:g} can be drawn: divide them, such as "
+                f"'({text}) / {largest:.0e}'."
+            )
 
 
 def _panel(curves: Sequence[tuple[str, SeriesColumn, SeriesColumn]]) -> Panel:

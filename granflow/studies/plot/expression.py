@@ -35,7 +35,8 @@ def quantity_of(series: TimeSeriesTable, text: str, source: str) -> SeriesColumn
     if text in columns:
         column = columns[text]
         if column.unit == "rad":
-            return SeriesColumn(column.name, "deg", np.degrees(column.values))
+            with np.errstate(over="ignore"):
+                return SeriesColumn(column.name, "deg", np.degrees(column.values))
         return column
     return SeriesColumn(text, "", _value(columns, text, source))
 
@@ -45,15 +46,17 @@ def _value(columns: Mapping[str, SeriesColumn], text: str, source: str) -> np.nd
     # Column names contain dots and other characters that Python does not permit in a name: the longest come first.
     known = sorted(columns, key=len, reverse=True)
     pattern = re.compile("|".join(rf"(?<![\w.]){re.escape(name)}(?![\w.])" for name in known))
-    coded = pattern.sub(lambda found: f"_{known.index(found[0])}", text)
-    for word in WORD.findall(coded):
-        if word not in FUNCTIONS and not (word[1:].isdecimal() and word.startswith("_")):
+    for word in WORD.findall(pattern.sub(" ", text)):  # before the columns are replaced: `_0` is no name of the user
+        if word not in FUNCTIONS:
             raise GranflowError(f"{source} has no column {word}. {suggestion_sentence(word, columns, 'columns')}")
+    coded = pattern.sub(lambda found: f"_{known.index(found[0])}", text)
     try:
+        if not coded.isascii():  # Python reads full-width letters as plain ones
+            raise ValueError
         tree = ast.parse(coded.strip(), mode="eval").body
         with np.errstate(all="ignore"):
             found = _evaluated(tree, [columns[name].values for name in known])
-    except (SyntaxError, ValueError, RecursionError, OverflowError, ZeroDivisionError):
+    except (SyntaxError, ValueError, RecursionError, MemoryError, OverflowError):
         raise GranflowError(
             f"'{text}' is neither a column of {source} nor an arithmetic expression of its columns; "
             "write for example 'wall_displacement.lid / 0.1'."
@@ -65,7 +68,7 @@ def _evaluated(node: ast.expr, values: list[np.ndarray]) -> Any:
     """Value of a syntax tree; names are `_K` for the K-th of `values`. Raises ValueError for what is not arithmetic."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return float(number)
+            return np.float64(number)  # unlike float: x / 0 is infinite, and the root of a negative number is nan
         case ast.Name(id=name) if name not in FUNCTIONS:
             return values[int(name[1:])]
         case ast.UnaryOp(op=sign, operand=operand) if type(sign) in OPERATORS:

@@ -36,16 +36,28 @@ def write_plot(path: Path, panels: Sequence[Panel], logarithmic: str, title: str
     """Write the panels, one below the other, as an image or, if the file type is .html, as an interactive page.
 
     `logarithmic`: axes with a logarithmic scale: "", "x", "y" or "xy"; `title`: of a page.
-    Raises GranflowError for another file type, or if the library is not installed.
+    Raises GranflowError for another file type, for a logarithmic axis without positive values, or if the library is not
+    installed.
     """
     if path.suffix not in (*IMAGES, ".html"):
         types = ", ".join((*IMAGES, ".html"))
         raise GranflowError(f"--out {path} is not of a supported type; the name must end in one of {types}.")
+    for axis in logarithmic:
+        _refuse_without_positive(panels, axis)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".html":
         _write_page(path, panels, logarithmic, title)
     else:
         draw_to(path, lambda figure: _draw(figure, panels, logarithmic), PANEL_HEIGHT * len(panels), FULL_WIDTH)
+
+
+def _refuse_without_positive(panels: Sequence[Panel], axis: str) -> None:
+    """Raise GranflowError for a panel without a positive value along a logarithmic `axis`, x or y."""
+    for panel in panels:
+        values = np.concatenate([getattr(curve, axis) for curve in panel.curves])
+        if not (values > 0.0).any():
+            title = getattr(panel, f"{axis}_title")
+            raise GranflowError(f"--log {axis} needs positive values, but {title} has none: omit --log {axis}.")
 
 
 def _draw(figure: Any, panels: Sequence[Panel], logarithmic: str) -> None:
