@@ -82,7 +82,7 @@ def table_in(
 
     The header is the first line that is not empty and not a comment, or a comment before it whose names `is_header`
     accepts. The separator is the first of those in the header with accepted names, otherwise the first of them. Raises
-    FileError for a row that is not CSV.
+    FileError for a row that is not CSV, and for a header with a name twice.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     for index, (n, line) in enumerate(lines[:MOST_COMMENTS]):
@@ -93,9 +93,21 @@ def table_in(
         accepted = [header for header in headers if is_header(header[0])]
         if accepted or not is_comment:
             names, mark = (accepted or headers)[0]
+            _refuse_repetition(names, path, n)
             rows = ((m, _cells(row, mark, path, m)) for m, row in lines[index + 1 :] if not _is_comment(row))
             return Table(tuple(names), mark, n, tuple((m, _trimmed(cells, len(names))) for m, cells in rows))
     return None
+
+
+def _refuse_repetition(names: Sequence[str], path: Path, line: int) -> None:
+    """Raise FileError for two columns whose names differ at most in case and in the unit in square brackets."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = name.partition("[")[0].strip().lower()
+        if plain in found and plain and not is_number(plain):
+            both = f"{name} twice" if found[plain] == name else f"both {found[plain]} and {name}"
+            raise FileError(f"{path}:{line}: the header has {both}; keep one of the columns.")
+        found[plain] = name
 
 
 def _is_comment(line: str) -> bool:

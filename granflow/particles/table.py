@@ -45,6 +45,9 @@ DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") | {
 }
 """Dimension of each quantity, in which the unit of its columns is converted to SI."""
 
+ROUNDING = 1e-4
+"""Relative difference of a number that is given twice, in text with at least four digits."""
+
 UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 
 
@@ -145,6 +148,13 @@ def _frame(path: Path) -> ParticleTable:
     if not known:
         raise SceneError(f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}.")
     count = len(mesh.points)
+    if len(known) == 2 and data["radius"].size == data["diameter"].size == count:
+        differs = _differ(2.0 * data["radius"].reshape(count), data["diameter"].reshape(count))
+        if differs.any():
+            raise SceneError(
+                f"{path}: the arrays radius and diameter of point {int(differs.argmax())} contradict each other; keep "
+                "one of them."
+            )
     for name in (known[0], *COLUMN_NAMES):
         components = 3 if name in COLUMN_NAMES else 1
         if name in data and data[name].size != count * components:
@@ -174,12 +184,14 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
             f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r (or radius, "
             f"or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
         )
+    _refuse_incomplete(path, table)
     problems = [
         (line, f"the row has {len(cells)} values, but the header has {width} columns.")
         for line, cells in table.rows
         if len(cells) != width
     ]
     table = table.complete()
+    problems += _contradictions(path, table)
     material = np.array(table.texts(columns.pop("material")[0]), dtype=str) if "material" in columns else None
     numbers = {}
     for quantity, indices in columns.items():
@@ -190,6 +202,53 @@ def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
     motion = numbers.get("velocity"), numbers.get("angular_velocity")
     line = np.array([line for line, _ in table.rows], dtype=np.int64)
     return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(problems)
+
+
+def _refuse_incomplete(path: Path, table: Table) -> None:
+    """Raise SceneError for a vector of which the header has some components only."""
+    for quantity, components in _matches(table.names).items():
+        given = [table.names[columns[0]] for columns in components if columns]
+        if 0 < len(given) < len(components):
+            raise SceneError(
+                f"{path}:{table.heading_line}: the header has {' and '.join(given)}, but not all three components of "
+                f"the {quantity.replace('_', ' ')}; add the others, or remove it."
+            )
+
+
+def _contradictions(path: Path, table: Table) -> Iterator[RowProblem]:
+    """The first row of each two columns that give different values for one number, such as radius and diameter."""
+    matches = _matches(table.names)
+    pairs = [
+        (quantity, columns[0], other, 1.0)
+        for quantity, components in matches.items()
+        for columns in components
+        for other in columns[1:]
+    ]
+    (radius,), (diameter,) = matches["radius"], matches["diameter"]
+    if radius and diameter:
+        pairs.append(("diameter", radius[0], diameter[0], 2.0))
+    for quantity, first, other, factor in pairs:
+        if problem := _contradiction(path, table, quantity, first, other, factor):
+            yield problem
+
+
+def _contradiction(path: Path, table: Table, quantity: str, first: int, other: int, factor: float) -> RowProblem | None:
+    """The first row in which a column is not `factor` times another one, `other`; None without such a row."""
+    if quantity == "material":
+        differs = np.array(table.texts(first)) != np.array(table.texts(other))
+    else:
+        units = [unit_factor(path, table, index, DIMENSIONS[quantity]) for index in (first, other)]
+        differs = _differ(factor * units[0] * table.numbers(first), units[1] * table.numbers(other))
+    if not differs.any():
+        return None
+    line, cells = table.rows[int(differs.argmax())]
+    given = f"{table.names[first]} is {cells[first]}, but {table.names[other]} is {cells[other]}"
+    return line, f"{given}: the columns contradict each other; keep one of them."
+
+
+def _differ(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether numbers (n,) differ by more than the rounding of text with few digits; NaN does not differ."""
+    return np.abs(first - other) > ROUNDING * np.maximum(np.abs(first), np.abs(other))
 
 
 def _numbers(table: Table, index: int, problems: list[RowProblem]) -> np.ndarray:
@@ -208,6 +267,16 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
     Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]" are
     recognized; see COLUMN_NAMES.
     """
+    found = {}
+    for quantity, components in _matches(names).items():
+        columns = [matching[0] for matching in components if matching]
+        if len(columns) == len(components):
+            found[quantity] = columns
+    return found
+
+
+def _matches(names: Sequence[str]) -> dict[str, list[list[int]]]:
+    """Numbers of all columns with a name of each component of each quantity."""
     plain = [re.sub(r"[^a-z0-9]", "", UNIT.sub("", name).lower()) for name in names]
     wanted: dict[str, list[Sequence[str]]] = {
         quantity: [
@@ -217,12 +286,10 @@ def _columns(names: Sequence[str]) -> dict[str, list[int]]:
         for quantity, words in COLUMN_NAMES.items()
     }
     wanted |= {name: [words] for name, words in SCALAR_NAMES.items()}
-    found = {}
-    for quantity, components in wanted.items():
-        columns = [next((c for c, name in enumerate(plain) if name in words), None) for words in components]
-        if None not in columns:
-            found[quantity] = [c for c in columns if c is not None]
-    return found
+    return {
+        quantity: [[column for column, name in enumerate(plain) if name in words] for words in components]
+        for quantity, components in wanted.items()
+    }
 
 
 def _is_header(names: Sequence[str]) -> bool:

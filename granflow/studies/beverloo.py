@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow import GranflowError, read_run
 from granflow.io.tables import read_table
-from granflow.scene.schema.units import UnitError, to_si
+from granflow.scene.schema.units import UnitError, split_heading, to_si, with_unit
 
 EXPONENT = 2.5
 """Exponent of Beverloo's law."""
@@ -148,15 +148,18 @@ def _of_run(source: Path) -> list[tuple[float, float]]:
 def _of_table(source: Path) -> list[tuple[float, float]]:
     """Orifices [m] and mass flow rates [kg/s] of a CSV file. Raises GranflowError with the line number."""
     table = read_table(source)
-    names = table.names if table else ()
+    headings = [split_heading(name) for name in table.names] if table else []
+    names = [name for name, _ in headings]
     missing = [name for name in COLUMNS if name not in names]
     if table is None or missing:
         raise GranflowError(f"{source} has no column {missing[0]}; the columns are orifice and mass_flow.")
-    found = []
+    units, found = dict(headings), []
     for line, cells in table.rows:
         row = dict(zip(names, cells, strict=False))
         try:
-            orifice, flow = (to_si(row.get(name, ""), dimension) for name, dimension in COLUMNS.items())
+            orifice, flow = (
+                to_si(with_unit(row.get(name, ""), units[name]), dimension) for name, dimension in COLUMNS.items()
+            )
             found.append((orifice, flow))
         except UnitError as error:
             raise GranflowError(f"{source}:{line}: {error}.") from None

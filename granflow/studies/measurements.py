@@ -10,7 +10,7 @@ import numpy as np
 from granflow.errors import FileError, GranflowError
 from granflow.io.regular_files import read_regular
 from granflow.io.tables import table_in
-from granflow.scene.schema.units import UnitError, to_si
+from granflow.scene.schema.units import UnitError, to_si, with_unit
 
 HEADINGS = {
     "velocity": ("velocity", "v", "approach_velocity", "impact_velocity"),
@@ -50,7 +50,7 @@ def read_measurements(path: Path) -> Measurements:
     """Read a table with the columns `velocity` and `restitution`, and optionally `deviation` or `weight`.
 
     Columns are separated by commas, semicolons or tabs; empty lines and lines that begin with # are ignored; a value
-    may have a unit. Velocities are converted to m/s.
+    or the name of a column may have a unit. Velocities are converted to m/s.
 
     Raises FileError with all invalid rows as `file:line: sentence`, and GranflowError if the file is not UTF-8 text.
     """
@@ -59,10 +59,11 @@ def read_measurements(path: Path) -> Measurements:
         raise FileError(f"{path}: the file has no rows; the first row must name the columns: velocity,restitution.")
     width = len(table_read.names)
     columns = _columns(path, table_read.heading_line, table_read.names)
+    units = _units(path, table_read.heading_line, table_read.names, columns)
     problems: list[str] = []
     values: list[dict[str, float]] = []
     for line, cells in table_read.rows:
-        problems_of_row = _extra_cells(cells, width) or list(_read_row(cells, columns, values))
+        problems_of_row = _extra_cells(cells, width) or list(_read_row(cells, columns, units, values))
         problems.extend(f"{path}:{line}: {fault}." for fault in problems_of_row)
     if problems:
         raise FileError(problems)
@@ -90,8 +91,7 @@ def _text(path: Path) -> str:
 def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
     """Index of each known column by its name in HEADINGS.
 
-    Units in brackets are ignored in the names. Raises FileError if a column is missing or duplicated, or if the
-    velocities have another unit than m/s.
+    Units in brackets are no part of the names. Raises FileError if a column is missing or duplicated.
     """
     names = [cell.split("[")[0].split("(")[0].strip().lower().replace(" ", "_") for cell in cells]
     found: dict[str, int] = {}
@@ -109,18 +109,18 @@ def _columns(path: Path, line: int, cells: Sequence[str]) -> dict[str, int]:
         )
     if "deviation" in found and "weight" in found:
         raise FileError(f"{path}:{line}: the header has both deviation and weight; keep one.")
-    return _unit_checked(path, line, cells, found)
-
-
-def _unit_checked(path: Path, line: int, cells: Sequence[str], found: dict[str, int]) -> dict[str, int]:
-    """Return the columns unchanged. Raises FileError if the header gives a unit other than m/s."""
-    unit = cells[found["velocity"]].replace("(", "[").partition("[")[2].rstrip(")] ")
-    if unit not in ("", "m/s"):
-        raise FileError(
-            f"{path}:{line}: the velocities are in {unit}, but must be in m/s; convert them, or write the unit "
-            f"after each value, such as 500 {unit}."
-        )
     return found
+
+
+def _units(path: Path, line: int, cells: Sequence[str], columns: Mapping[str, int]) -> dict[str, str]:
+    """Unit of each column from its heading, empty without one. Raises FileError for a unit of another dimension."""
+    units = {name: cells[place].replace("(", "[").partition("[")[2].rstrip(")] ") for name, place in columns.items()}
+    for name, unit in units.items():
+        try:
+            to_si(with_unit("1", unit if unit not in ("-", "1") else ""), DIMENSION[name])
+        except UnitError as error:
+            raise FileError(f"{path}:{line}: the column of {name} is in {unit}, but {error}.") from None
+    return {name: unit if unit not in ("-", "1") else "" for name, unit in units.items()}
 
 
 def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
@@ -130,13 +130,15 @@ def _extra_cells(cells: Sequence[str], width: int) -> list[str]:
     return [f"the row has {len(cells)} values, but the header has {width} columns; use a point as decimal separator"]
 
 
-def _read_row(cells: Sequence[str], columns: Mapping[str, int], values: list[dict[str, float]]) -> Iterator[str]:
+def _read_row(
+    cells: Sequence[str], columns: Mapping[str, int], units: Mapping[str, str], values: list[dict[str, float]]
+) -> Iterator[str]:
     """Append the numbers of a row to `values`; yield a message for each invalid number."""
     numbers = {}
     for name, place in columns.items():
         text = cells[place] if place < len(cells) else ""
         try:
-            numbers[name] = _number(name, text)
+            numbers[name] = _number(name, with_unit(text, units[name]))
         except UnitError as error:
             yield f"{name} is {text or 'empty'}, but {error}"
     if len(numbers) == len(columns):

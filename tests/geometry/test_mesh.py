@@ -5,9 +5,11 @@ import pytest
 from geometry.meshes import cube, mesh, sheet, tube
 
 from granflow.geometry.mesh.contact import reference_contact, triangle_distances
+from granflow.geometry.mesh.file import STL_RECORD, read_triangles
 from granflow.geometry.mesh.grid import grid_over
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import FAR_AWAY
+from granflow.io.regular_files import FormatError
 
 
 def contacts(surface, points):
@@ -148,3 +150,49 @@ def test_points_are_welded_and_duplicate_and_degenerate_triangles_are_removed():
     assert (found.duplicate_count, found.degenerate_count) == (2, 2)
     assert found.adjacency.open_count == 12
     assert mesh(*cube()).adjacency.open_count == 0
+
+
+def _stl(declared, triangles):
+    """A binary STL file with triangles (t, 3, 3) that declares another number of them."""
+    records = np.zeros(len(triangles), STL_RECORD)
+    records["corners"] = triangles
+    return bytes(80) + np.uint32(declared).tobytes() + records.tobytes()
+
+
+def _ply(declared, binary):
+    """A PLY file of three separate triangles that declares another number of them."""
+    header = f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\nelement vertex 9\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz")
+    header += f"element face {declared}\nproperty list uchar int vertex_indices\nend_header\n"
+    points, corners = np.arange(27, dtype=np.float32).reshape(9, 3), np.arange(9, dtype=np.int32).reshape(3, 3)
+    if binary:
+        return header.encode() + points.tobytes() + b"".join(b"\x03" + each.tobytes() for each in corners)
+    rows = [*points.tolist(), *([3, *each] for each in corners.tolist())]
+    return (header + "".join(" ".join(map(str, row)) + "\n" for row in rows)).encode()
+
+
+TRIANGLES = np.arange(27.0).reshape(3, 3, 3)
+TEXT_STL = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+COUNTS = {
+    "below.stl": (_stl(1, TRIANGLES), "declares 1 triangles, but its size is that of 3"),
+    "none.stl": (_stl(0, TRIANGLES), "declares 0 triangles, but its size is that of 3"),
+    "above.stl": (_stl(4, TRIANGLES), "declares 4 triangles, but its size allows 3"),
+    "right.stl": (_stl(3, TRIANGLES), None),
+    "text.stl": (f"{TEXT_STL}endsolid a\n".encode(), None),
+    "open.stl": (TEXT_STL.encode(), "does not end with endsolid: it is truncated"),
+    **{f"{kind}_{count}.ply": (_ply(count, kind == "binary"), None if count == 3 else reason)
+       for kind in ("ascii", "binary")
+       for count, reason in ((2, "declares 2 faces, but has more data"), (3, None), (4, "PLY|declares 4 faces"))},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_mesh_file_has_as_many_triangles_as_it_declares(tmp_path, name):
+    """No triangle is dropped silently, whichever of the two numbers is wrong."""
+    content, reason = COUNTS[name]
+    (tmp_path / name).write_bytes(content)
+    if reason is None:
+        assert len(read_triangles(tmp_path / name).corners) in (1, 3)
+        return
+    with pytest.raises(FormatError, match=reason):
+        read_triangles(tmp_path / name)

@@ -16,6 +16,7 @@ FORMATS = {
     "semicolons and decimal commas": "X; Y; Z; Diameter\n0,1;-0,2;0,3;0,004\n0;0,0015;-4;0,007\n",
     "tabs": "Radius\tPosition X\tPosition Y\tPosition Z\n0.002\t0.1\t-0.2\t0.3\n0.0035\t0\t0.0015\t-4\n",
     "spaces and units": "Radius[m] PosX[m] PosY[m] PosZ[m]\n 0.002 0.1 -0.2 0.3\n\n 0.0035   0 0.0015 -4\n",
+    "two sizes that agree": "x,y,z,r [mm],d [m]\n0.1,-0.2,0.3,2,0.004\n0,0.0015,-4,3.5,0.00700001\n",
     "mixed blanks": "Radius[m]\tPosX[m] PosY[m] PosZ[m]\n 0.002 0.1 -0.2 0.3\n 0.0035 0 0.0015 -4\n",
     "millimeters": "d [mm], x (mm), y (mm), z (m), what\n4, 100, -200, 0.3, a\n7, 0, 1.5, -4, b\n",
     "comments": "# made by hand\n# x y z r\n0.1 -0.2 0.3 0.002\n# the other\n0 0.0015 -4 0.0035\n",
@@ -58,6 +59,18 @@ BAD = {
         "1: the first line must be a header with the columns x, y, z and r (or radius, or diameter), but it is 0,0,0,1."
     ],
     "x[furlong],y,z,r\n0,0,0,1\n": ["1: the unit of x[furlong] is invalid: furlong is not a known unit"],
+    "x,y,z,r,r\n0,0,0,1,1\n": ["1: the header has r twice; keep one of the columns."],
+    "x,y,z,r [m],R [mm]\n0,0,0,1,1\n": ["1: the header has both r [m] and R [mm]; keep one of the columns."],
+    "x,y,z,r,diameter\n0,0,0,1,2\n0,0,0,1,1\n": [
+        "3: r is 1, but diameter is 1: the columns contradict each other; keep one of them."
+    ],
+    "x,pos_x,y,z,d\n0,0.1,0,0,1\n": [
+        "2: x is 0, but pos_x is 0.1: the columns contradict each other; keep one of them."
+    ],
+    "x,y,z,r,mat,material\n0,0,0,1,a,b\n": ["2: mat is a, but material is b: the columns contradict each other;"],
+    "x,y,z,r,vx,vz\n0,0,0,1,1,1\n": [
+        "1: the header has vx and vz, but not all three components of the velocity; add the others, or remove it."
+    ],
     "x,y,z,r\n": [" the file contains no particles."],
     "": [" the file contains no particles."],
     "x y z r\n" + "0 0 0\n" * (MOST_SHOWN + 5): [

@@ -52,6 +52,14 @@ def test_a_table_with_units_is_read_and_shown(tmp_path, capsys):
     assert "0.58 ±" in shown and "1.4 ±" in shown and "2.5 given" in shown and "2.5 ±" in shown
 
 
+def test_units_of_columns_are_those_of_cells_without_one(tmp_path):
+    """75 mm and 0.06 m; 3.6 t/h and 360 kg/h are 1 and 0.1 kg/s."""
+    path = tmp_path / "flows.csv"
+    path.write_text("orifice (mm),mass_flow [t/h]\n75,3.6\n0.06 m,360 kg/h\n", encoding="utf-8")
+    found = read_discharges([path])
+    assert found.orifice == pytest.approx([0.075, 0.06]) and found.mass_flow == pytest.approx([1.0, 0.1])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

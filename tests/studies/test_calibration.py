@@ -247,6 +247,36 @@ def test_curve_is_compared_from_the_beginning_of_its_stage(tmp_path):
     assert partial_loss(measured, tmp_path) == pytest.approx(9.0)
 
 
+@pytest.mark.parametrize(
+    ("head", "rows", "time", "value"),
+    [
+        ("time [ms],value [g]", "0,1\n500,6\n", [0.0, 0.5], [1e-3, 6e-3]),
+        ("time(min),value", "0,1\n2,6\n", [0.0, 120.0], [1.0, 6.0]),
+        ("value [t],time [s]", "1,0\n6,2\n", [0.0, 2.0], [1e3, 6e3]),
+    ],
+)
+def test_a_curve_is_converted_by_the_units_of_its_columns(tmp_path, head, rows, time, value):
+    (tmp_path / "flow.csv").write_text(f"{head}\n{rows}")
+    measured = target(tmp_path, curve="flow.csv")
+    assert measured.time == pytest.approx(time) and measured.value == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        ("time [mm],value", "flow.csv:1: time is in s, and mm is no unit of it; give s, ms, us, ns, min, h."),
+        ("time,value [mJ]", "flow.csv:1: flow_mass.out is in kg, and mJ is no unit of it; give kg, g, mg, t."),
+        ("time,value,Value", "flow.csv:1: the header has both value and Value; keep one of the columns."),
+        ("time [s],value,time [ms]", "flow.csv:1: the header has both time [s] and time [ms]; keep one"),
+    ],
+)
+def test_a_curve_with_columns_that_do_not_fit_is_refused(tmp_path, head, message):
+    (tmp_path / "flow.csv").write_text(f"{head}\n0,1,0\n1,2,1\n")
+    with pytest.raises(FileError) as error:
+        target(tmp_path, curve="flow.csv")
+    assert message in str(error.value)
+
+
 def test_response_recovers_the_optimum_of_linear_residuals():
     """Residuals 20 (u - 0.3) and 5 (v - 0.6)."""
     u = np.random.default_rng(1).uniform(size=(40, 2))

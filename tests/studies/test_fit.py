@@ -131,8 +131,9 @@ def written(tmp_path, text, encoding="utf-8"):
         "# Smith 1999\n\nV ; E ; remark\n1;0.8;first\n# a comment\n2;0.7;\n",
         "e\tvelocity [m/s]\n0.8\t1\n0.7\t2\n",
         'velocity (m/s), restitution coefficient\n"1 m/s", 80 %\n2000 mm/s, 0.7\n',
+        "velocity [mm/s],e [%]\n1000,80\n2 m/s,70\n",
     ],
-    ids=["plain", "BOM", "semicolons", "tabs", "units"],
+    ids=["plain", "BOM", "semicolons", "tabs", "units", "units of columns"],
 )
 def test_equivalent_table_formats_give_equal_data(tmp_path, text):
     data = read_measurements(written(tmp_path, text))
@@ -189,9 +190,13 @@ def test_each_invalid_row_is_reported_with_the_expected_value(tmp_path):
         ("v,e\n", "no measurements below the header"),
         ("1,0.8\n2,0.7\n", ":1: the header is 1, 0.8, which does not name velocity and restitution"),
         ("v,x\n1,0.8\n", ":1: the header is v, x, which does not name restitution"),
-        ("v,e,e\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
+        ("v,e,e\n1,0.8,0.8\n", ":1: the header has e twice; keep one of the columns."),
         ("v,e,std,weight\n1,1,1,1\n", "both deviation and weight"),
-        ("v [mm/s],e\n1,0.8\n", "the velocities are in mm/s, but must be in m/s"),
+        ("v,e,restitution\n1,0.8,0.8\n", ":1: the header has 2 columns for restitution"),
+        (
+            "v [mm],e\n1,0.8\n",
+            ":1: the column of velocity is in mm, but mm is a unit of length and a velocity is expected",
+        ),
         ("v,e\n1,0,8\n", ":2: the row has 3 values, but the header has 2 columns"),
     ],
 )

@@ -12,6 +12,7 @@ from granflow.io.collision_energies import COLUMNS
 from granflow.io.time_series import read_series
 from granflow.studies.plot.curves import panels_of
 from granflow.studies.plot.expression import quantity_of
+from granflow.studies.plot.source import series_of
 
 HEAD = (
     "time [s],stage,wall_pressure.lid [Pa],wall_displacement.lid [m],wall_force_x.lid [N],wall_force_z.lid [N],"
@@ -51,6 +52,38 @@ def value(run, text):
 def test_expressions_of_columns(run, text, expected):
     found = value(run, text)
     assert found.values == pytest.approx(expected) and found.unit == ""
+
+
+def test_foreign_columns_are_in_si_by_their_units(tmp_path):
+    """Stage times are converted as well; a unit that granflow does not know, or of two dimensions, remains."""
+    path = tmp_path / "scope.csv"
+    path.write_text(
+        "time [ms],stage,energy (mJ),share [%],angle [deg],speed [rpm],mass [g],torque [Nmm]\n"
+        "0,a,1,50,90,60,2,3\n20,b,2,100,180,30,4,6\n"
+    )
+    (panel,) = panels_of([path], "time", ["energy"])
+    assert panel.x_title == "time (s)" and panel.y_title == "energy (J)"
+    assert panel.curves[0].x == pytest.approx([0.0, 0.02]) and panel.curves[0].y == pytest.approx([1e-3, 2e-3])
+    _, series = series_of(path, "time")
+    assert series.stages == ((0.0, "a"), (0.02, "b"))
+    columns = {each.name: (each.unit, each.values.tolist()) for each in series.columns}
+    assert columns["share"] == ("", [0.5, 1.0]) and columns["speed"] == ("rad/s", pytest.approx([2 * np.pi, np.pi]))
+    assert columns["angle"] == ("rad", pytest.approx([np.pi / 2, np.pi]))
+    assert columns["mass"] == ("g", [2.0, 4.0]) and columns["torque"] == ("Nmm", [3.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        ("time [days],a,b", "scope.csv:1: the column time is in s, and days is no unit of it; give s, ms, us"),
+        ("time [s],a,A [m]", "the header has both a and A [m]; keep one of the columns"),
+    ],
+)
+def test_a_table_with_columns_that_cannot_be_read_is_refused(tmp_path, head, message):
+    (tmp_path / "scope.csv").write_text(f"{head}\n0,1,1\n")
+    with pytest.raises(GranflowError) as error:
+        panels_of([tmp_path / "scope.csv"], "time", ["a"])
+    assert message in str(error.value)
 
 
 def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):

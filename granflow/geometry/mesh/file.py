@@ -34,6 +34,14 @@ FORMATS = ("stl", "obj", "ply", "vtk", "vtu")
 STL_HEADER, STL_RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Bytes before the first triangle of a binary STL file, and layout of a triangle (50 bytes, little-endian)."""
 
+PLY_BYTES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
+    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("double", "float64"), 8),
+}
+"""Bytes of the number types of PLY."""
+
 MAX_REASON_LENGTH = 200
 """Maximum length of a message of meshio, in characters."""
 
@@ -79,7 +87,12 @@ def read_triangles(path: Path) -> RawTriangles:
     elif kind == "stl" and not _is_text_stl(raw):
         found = _binary_stl(raw)
     else:
-        found = _raw_triangles(read_vtu(path, LARGEST_FILE) if kind == "vtu" else _by_meshio(path, kind))
+        if kind == "stl" and not raw.rstrip().rpartition(b"\n")[2].strip().lower().startswith(b"endsolid"):
+            raise FormatError("does not end with endsolid: it is truncated")
+        mesh = read_vtu(path, LARGEST_FILE) if kind == "vtu" else _by_meshio(path, kind)
+        found = _raw_triangles(mesh)
+        if kind == "ply":
+            _check_ply(raw, [len(row) for block in mesh.cells for row in block.data])
     _check(found)
     return found
 
@@ -97,15 +110,46 @@ def _stl_count(raw: bytes) -> int:
 
 
 def _binary_stl(raw: bytes) -> RawTriangles:
-    """Triangles of a binary STL file, three points each. Raises FormatError if the file is truncated."""
+    """Triangles of a binary STL file, three points each. Raises FormatError if it has more or fewer than declared."""
     count, capacity = _stl_count(raw), (len(raw) - STL_HEADER) // STL_RECORD.itemsize
     if count < 0:
         raise FormatError(f"is truncated: it has {len(raw)} bytes, fewer than the header of an STL file")
     if count > capacity:
         raise FormatError(f"declares {count} triangles, but its size allows {capacity}: it is truncated or damaged")
+    if count < capacity:
+        raise FormatError(
+            f"declares {count} triangles, but its size is that of {capacity}: the others would be missing; export it "
+            "again"
+        )
     records = np.frombuffer(raw, STL_RECORD, min(count, MAX_TRIANGLES + 1), STL_HEADER)
     points = records["corners"].reshape(-1, 3).astype(np.float64)
     return RawTriangles(points, np.arange(len(points)).reshape(-1, 3))
+
+
+def _check_ply(raw: bytes, sizes: list[int]) -> None:
+    """Raise FormatError if a PLY file has more or fewer faces than its header declares; meshio ignores the others.
+
+    `sizes`: number of corners of each face that was read.
+    """
+    header, _, body = raw.partition(b"end_header")
+    body = body.partition(b"\n")[2]
+    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
+    counts = {line[1]: int(line[2]) for line in lines if line[0:1] == ["element"]}
+    declared = counts.get("face", 0)
+    if declared != len(sizes):
+        raise FormatError(f"declares {declared} faces, but contains {len(sizes)}: it is truncated or damaged")
+    if ["format", "ascii", "1.0"] in lines:
+        has_more = len([line for line in body.splitlines() if line.strip()]) > sum(counts.values())
+    else:
+        properties = [line[1:] for line in lines if line[0:1] == ["property"]]
+        lists = [line for line in properties if line[0] == "list"]
+        if len(lists) != 1 or properties[-1] != lists[0] or set(counts) != {"vertex", "face"}:
+            return  # rows of other lengths, which are not counted here
+        row = sum(PLY_BYTES[line[0]] for line in properties[:-1])
+        faces = declared * PLY_BYTES[lists[0][1]] + sum(sizes) * PLY_BYTES[lists[0][2]]
+        has_more = len(body) > counts["vertex"] * row + faces
+    if has_more:
+        raise FormatError(f"declares {declared} faces, but has more data behind them: export it again")
 
 
 def _by_meshio(path: Path, kind: str) -> "Mesh":

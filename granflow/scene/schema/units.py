@@ -10,6 +10,7 @@ from fractions import Fraction
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
 _COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
+_HEADING = re.compile(r"\s*(.*?)\s*([\[(])([^\])]*)[\])]\s*", re.DOTALL)
 _PI = Fraction(math.pi)
 _STANDARD_GRAVITY = "9.80665"
 _LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
@@ -139,6 +140,41 @@ def unit_in(text: str) -> str:
     return (match.group(2) or "").strip() if match else ""
 
 
+def split_heading(heading: str) -> tuple[str, str]:
+    """Name and unit of a column of a table: "time [ms]" is ("time", "ms"); the unit is empty without one.
+
+    What is in square brackets is a unit, what is in round ones only if it is a known unit.
+    """
+    match = _HEADING.fullmatch(heading)
+    if match is None or (match[2] == "(" and not dimensions_with(match[3].strip())):
+        return heading.strip(), ""
+    return match[1], match[3].strip()
+
+
+def with_unit(cell: str, unit: str) -> str:
+    """A cell of a table as text with a unit: its own, otherwise that of its column, which may be empty."""
+    return f"{cell} {unit}" if cell and unit and not unit_in(cell) else cell
+
+
+def column_factor(unit: str, si_unit: str) -> float:
+    """Factor of a column with a unit to the SI unit of its quantity ("" for a number); 1 without a unit.
+
+    Raises UnitError for a unit that is unknown or of another dimension.
+    """
+    if unit in ("", si_unit):
+        return 1.0
+    known = [each for each in DIMENSIONS.values() if next(iter(each.units)) == si_unit]
+    if not si_unit:
+        known = [DIMENSIONS["number"]]
+    for each in known:
+        if unit in each.units:
+            return float(each.units[unit])
+    if not si_unit:
+        raise UnitError(f"{unit} is no unit of a number; the only one is %")
+    names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
+    raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
+
+
 def dimensions_with(unit: str) -> dict[str, Dimension]:
     """The dimensions that have a unit, by name; none for an unknown unit."""
     return {name: each for name, each in DIMENSIONS.items() if unit in each.units}
@@ -146,9 +182,9 @@ def dimensions_with(unit: str) -> dict[str, Dimension]:
 
 def si_unit_of(unit: str) -> str:
     """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a unit."""
-    units = [{name for name, factor in each.units.items() if factor == 1} for each in dimensions_with(unit).values()]
-    common = set.intersection(*units) if units else set()
-    return unit if unit in common else min(common, default="")
+    units = [[name for name, factor in each.units.items() if factor == 1] for each in dimensions_with(unit).values()]
+    common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
+    return unit if unit in common else next(iter(common), "")
 
 
 def seconds_of(name: str, time: float | str) -> float:

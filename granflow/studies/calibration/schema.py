@@ -65,7 +65,9 @@ class Target(Model):
     scene: Name = Field(description="name of the scene, in scenes")
     quantity: Text = Field(description="number of the result, or for a curve column of the time series")
     value: GivenQuantity | None = Field(None, description="measured value")
-    curve: FileName | None = Field(None, description="CSV file with the columns time [s] and value, SI")
+    curve: FileName | None = Field(
+        None, description="CSV file with the columns time and value, SI or with units, such as time [ms]"
+    )
     stage: Name | None = Field(
         None, description="with curve: stage whose beginning is time 0; default: that of the run"
     )

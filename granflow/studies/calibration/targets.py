@@ -16,7 +16,7 @@ from granflow.errors import FileError
 from granflow.fields import unit_of
 from granflow.io.tables import read_table
 from granflow.io.time_series import TimeSeriesTable, read_series
-from granflow.scene.schema.units import to_si
+from granflow.scene.schema.units import UnitError, column_factor, split_heading, to_si
 from granflow.studies.calibration.schema import Target
 from granflow.studies.run_processes.outcome import numbers_of
 from granflow.studies.run_processes.quantities import error_name
@@ -61,11 +61,21 @@ def read_target(target: Target, folder: Path, position: str) -> Measured:
         table = read_table(path)
     except OSError as error:
         raise FileError(f"{position}: curve is {target.curve}, but {path} cannot be read: {error.strerror}.") from None
-    names = tuple(name.partition(" [")[0] for name in table.names) if table else ()
+    headings = [split_heading(name) for name in table.names] if table else []
+    names = [name for name, _ in headings]
     missing = [name for name in CURVE_COLUMNS if name not in names]
     if table is None or missing:
         raise FileError(f"{path}: there is no column {missing[0]}; the columns are time and value.")
+    factors = []
+    for name, si_unit in zip(CURVE_COLUMNS, ("s", unit_of(target.quantity)), strict=True):
+        try:
+            factors.append(column_factor(headings[names.index(name)][1], si_unit))
+        except UnitError as error:
+            what = target.quantity if name == "value" else name
+            unit = f"is in {si_unit}" if si_unit else "has no unit"
+            raise FileError(f"{path}:{table.heading_line}: {what} {unit}, and {error}.") from None
     time, value = (table.complete().numbers(names.index(name)) for name in CURVE_COLUMNS)
+    time, value = time * factors[0], value * factors[1]
     if not (len(time) and np.isfinite(time).all() and np.isfinite(value).all() and (np.diff(time) > 0.0).all()):
         raise FileError(f"{path}: the rows must be numbers with increasing time; correct the table.")
     return Measured(target, time, value)

@@ -1,5 +1,6 @@
 """Sources of `granflow plot`: time series, and the counts of collisions over time or over their energy."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from granflow.errors import GranflowError
 from granflow.io.collision_energies import CollisionTable, collision_table, has_collisions
 from granflow.io.tables import Table
 from granflow.io.time_series import TIME, SeriesColumn, TimeSeriesTable, series_in, table_of_run
+from granflow.scene.schema.units import UnitError, column_factor, si_unit_of, split_heading, to_si
 from granflow.studies.plot.expression import WORD
 
 ENERGIES = ("energy", "energy_min", "energy_max")
@@ -17,33 +19,58 @@ ENERGIES = ("energy", "energy_min", "energy_max")
 def series_of(source: Path, x: str) -> tuple[Path, TimeSeriesTable]:
     """File and columns of the directory of a run, or of a CSV file with a column `time` or with counts of collisions.
 
-    `x`: quantity of the horizontal axis. Raises GranflowError if there is no such file, or if it has neither rows nor
-    known columns.
+    Numbers are converted to SI by the units in the header; a unit that is not known remains. `x`: quantity of the
+    horizontal axis. Raises GranflowError if there is no such file, if it has neither rows nor known columns, or if the
+    unit of the times is not one of time.
     """
     path = source / "timeseries.csv" if source.is_dir() else source
     if not path.exists():
         reason = f"{source} contains no timeseries.csv" if source.is_dir() else f"{source} does not exist"
         raise GranflowError(f"{reason}; give the directory of a run, such as out/hopper, or a CSV file with times.")
     table = table_of_run(path)
-    series = None if table is None else _series_in(table, x)
+    series = None if table is None else _series_in(table, x, path)
     if series is None:
         raise GranflowError(_reason(path, table))
     return path, series
 
 
-def _series_in(table: Table, x: str) -> TimeSeriesTable | None:
+def _series_in(table: Table, x: str, path: Path) -> TimeSeriesTable | None:
     """The columns of a table; None without rows or known columns."""
     if not has_collisions(table.names):
-        return series_in(table)
+        return _in_si(table, path)
     collisions = collision_table(table)
     if collisions is None:
         return None
     return _distribution(collisions) if set(WORD.findall(x)) & set(ENERGIES) else _history(collisions)
 
 
+def _in_si(table: Table, path: Path) -> TimeSeriesTable | None:
+    """The columns of a table of time series [SI]; None without rows or a column of times."""
+    headings = [split_heading(name) for name in table.names]
+    named = tuple(f"{name} [{unit}]" if unit else name for name, unit in headings)
+    series = series_in(replace(table, names=named))
+    if series is None:
+        return None
+    try:
+        seconds = column_factor(dict(headings)[TIME], "s")
+    except UnitError as error:
+        raise GranflowError(f"{path}:{table.heading_line}: the column time is in s, and {error}.") from None
+    stages = tuple((seconds * time, name) for time, name in series.stages)
+    return TimeSeriesTable(seconds * series.time, series.stage, tuple(map(_column_in_si, series.columns)), stages)
+
+
+def _column_in_si(column: SeriesColumn) -> SeriesColumn:
+    """A column in the SI unit; unchanged if its unit is unknown, or one of several dimensions, such as g."""
+    try:
+        factor = to_si(f"1 {column.unit}".strip(), "any")
+    except UnitError:
+        return column
+    return SeriesColumn(column.name, si_unit_of(column.unit), column.values * factor)
+
+
 def _reason(path: Path, table: Table | None) -> str:
     """Sentence on a file without rows or with unknown columns."""
-    names = [] if table is None else [name.partition(" [")[0] for name in table.names]
+    names = [] if table is None else [split_heading(name)[0] for name in table.names]
     if TIME in names or has_collisions(() if table is None else table.names):
         return f"{path} has no complete rows yet."
     return (
