@@ -1,5 +1,6 @@
 """Scenes from files, from text and from Python: read, validated and resolved here, and nowhere else."""
 
+import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import Any
 
 from granflow.errors import GranflowError, OutputError, SceneError
 from granflow.io.atomic_files import write_text
-from granflow.io.regular_files import resolved
+from granflow.io.log import version_of
+from granflow.io.regular_files import file_digest, resolved
 from granflow.particles.resolve import resolved_input
 from granflow.scene.document import DocumentError
 from granflow.scene.mapping import document_of
@@ -191,6 +193,17 @@ class Scene(SceneInput):
         if precision is None:
             return self
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
+
+
+def identity_of(scene: Scene) -> str:
+    """SHA-256 of the version of granflow, of the resolved scene, and of the contents of the files that it reads.
+
+    Without the contents of the run in `start_from`. Raises OSError for a file that cannot be read.
+    """
+    digest = hashlib.sha256(f"granflow {version_of('granflow')}\n{scene.to_yaml()}".encode())
+    for key, name in scene.input_names():
+        digest.update(f"\n{key} {file_digest(scene.folder / name)}".encode())
+    return digest.hexdigest()
 
 
 def refuse_other_object(scene: object) -> None:

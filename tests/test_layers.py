@@ -50,6 +50,7 @@ STUDIES_IMPORT = {
     "granflow.errors",
     "granflow.fields",
     "granflow.geometry.sphere",
+    "granflow.load",
     "granflow.scene.suggest",
     "granflow.scene.validated_file",
     "granflow.visible_text",

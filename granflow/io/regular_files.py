@@ -1,8 +1,10 @@
 """Reads input files, regular files only: a pipe or a device could block or never end."""
 
 import errno
+import hashlib
 import os
 import stat
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -51,6 +53,25 @@ def read_regular(path: Path, largest: int = LARGEST_FILE) -> bytes:
     if too_large:
         raise OSError(errno.EFBIG, f"it is larger than {largest / 2**20:.3g} MiB", str(path))
     return bytes(raw)
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of the content of a file, or "missing". A file that has not changed since the last call is not read."""
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        return "missing"
+    return _digest(path, (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
+
+
+@lru_cache(maxsize=1024)
+def _digest(path: Path, _state: tuple[int, ...]) -> str:
+    """SHA-256 of the content of a file; `_state`: what changes with its content."""
+    digest = hashlib.sha256()
+    with open_regular(path) as file:
+        while piece := file.read(CHUNK_SIZE):
+            digest.update(piece)
+    return digest.hexdigest()
 
 
 def read_regular_text(path: Path, largest: int = LARGEST_FILE) -> str:

@@ -88,19 +88,56 @@ def runner(folder, text=CALIBRATION):
 def test_misspelt_key_is_reported_at_its_parameter(tmp_path):
     found = runner(tmp_path, CALIBRATION.replace("keys: pairs.steel-steel.friction", "keys: pairs.steel-steel.frction"))
     with pytest.raises(FileError, match=r"calibration.yaml:3:3: .*frction is not a known key. Did you mean friction?"):
-        found.check({"friction": 0.1, "restitution": 0.5})
+        found.check()
 
 
 def test_unknown_quantity_is_reported_at_its_target(tmp_path):
     found = runner(tmp_path, CALIBRATION.replace("quantity: kinetic_energy", "quantity: kinetik_energy"))
     with pytest.raises(FileError, match=r"calibration.yaml:6:35: kinetik_energy is not a number .* kinetic_energy\?"):
-        found.check({"friction": 0.1, "restitution": 0.6})
+        found.check()
 
 
 def test_journal_of_another_calibration_is_refused(tmp_path):
     runner(tmp_path)
     with pytest.raises(GranflowError, match="trials of a calibration with other scenes, parameters or targets"):
         runner(tmp_path, CALIBRATION.replace("1 mJ", "2 mJ"))
+
+
+CURVE = CALIBRATION.replace("value: 1 mJ", "curve: energy.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("spheres.yaml", "8000", "9000", r"another content of the scene pair \(spheres.yaml\): it, a file"),
+        ("energy.csv", "2,0.5", "2,0.6", r"another content of the curve of energy \(energy.csv\)"),
+    ],
+)
+def test_trials_with_another_content_of_a_scene_or_a_curve_are_refused(tmp_path, name, old, new, words):
+    (tmp_path / "energy.csv").write_text("time,value\n1,0.4\n2,0.5\n")
+    runner(tmp_path, CURVE).check()
+    runner(tmp_path, CURVE).check()
+    path = tmp_path / name
+    changed = path.read_text().replace(old, new)
+    found = runner(tmp_path, CURVE) if name == "spheres.yaml" else None
+    path.write_text(changed)
+    with pytest.raises(GranflowError, match=words):
+        (found or runner(tmp_path, CURVE)).check()
+
+
+def test_calibration_ends_when_its_scene_changes(tmp_path, monkeypatch):
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    study, scene = read_calibration(written(tmp_path)), tmp_path / "spheres.yaml"
+    lines = []
+
+    def edit(line):
+        lines.append(line)
+        scene.write_text(SCENE.replace("8000", "9000"))
+
+    with pytest.raises(GranflowError, match=r"another content of the scene pair \(spheres.yaml\)"):
+        run_calibration(study, tmp_path / "out", jobs=1, report=edit)
+    assert len(lines) == 1
 
 
 def test_lock_of_a_killed_process_is_released(tmp_path, monkeypatch):

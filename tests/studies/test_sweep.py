@@ -11,6 +11,7 @@ from studies.sweep_files import SCENE, SWEEP, write_sweep
 
 from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError
+from granflow.io.checkpoint import write_checkpoint
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings
 from granflow.studies.run_processes.driver import Driver
 from granflow.studies.run_processes.executors import local_jobs
@@ -90,6 +91,51 @@ def test_unknown_quantity_is_refused_with_the_closest_name(tmp_path):
         FileError, match=r"sweep.yaml:5:24: kinetik_energy is not a number of a run.*Did you mean kinetic_energy\?"
     ):
         checked_points(sweep, settings(tmp_path))
+
+
+def names_of_runs(folder):
+    """Names of the run directories of a sweep of two points."""
+    text = SWEEP.replace("[0.5, 0.9, 1.2]", "[0.5]").replace("count: 4", "count: 2")
+    (folder / "sweep.yaml").write_text(text)
+    points = checked_points(read_sweep(folder / "sweep.yaml"), settings(folder))
+    return [run.directory.name for _, runs in points for run in runs]
+
+
+def source_run(folder, x, wall_clock):
+    """Write the checkpoint of a run that `start_from` reads, with a particle at `x`."""
+    particles = {"id": np.arange(1), "position": np.array([[x, 0.0, 0.0]])}
+    engine = {"particles": particles, "accounting": {"group": np.zeros(1)}, "clock": {"time_step": 1e-6}}
+    folder.mkdir(exist_ok=True)
+    write_checkpoint(folder, "title: Source\n", 1.0, 7, {"engine": engine, "wall_clock": wall_clock})
+
+
+MESH = (
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 -1\nvertex {x} 0 -1\nvertex 0 1 -1\nendloop\nendfacet\nendsolid a\n"
+)
+
+
+def test_directory_of_a_run_changes_with_the_contents_of_its_inputs_and_the_version(tmp_path, monkeypatch):
+    """Meshes, tables of motion, the run in start_from and the version; not with a repetition of that run."""
+    walls = (
+        "walls:\n  lid: {shape: mesh, file: lid.stl, material: steel, motion: MOTION}\n"
+        "start_from: source\n"
+    ).replace("MOTION", "[{kind: table, file: lid.csv, direction: [0, 0, 1]}]")
+    (tmp_path / "spheres.yaml").write_text(SCENE.replace("domain:", walls + "domain:"))
+    (tmp_path / "lid.stl").write_text(MESH.format(x=1))
+    (tmp_path / "lid.csv").write_text("time,displacement\n0,0\n1,0.01\n")
+    source_run(tmp_path / "source", 0.0, 12.0)
+    found = [names_of_runs(tmp_path)]
+    source_run(tmp_path / "source", 0.0, 34.0)
+    assert names_of_runs(tmp_path) == found[0]
+    source_run(tmp_path / "source", 1e-9, 34.0)
+    found.append(names_of_runs(tmp_path))
+    (tmp_path / "lid.stl").write_text(MESH.format(x=2))
+    found.append(names_of_runs(tmp_path))
+    (tmp_path / "lid.csv").write_text("time,displacement\n0,0\n1,0.02\n")
+    found.append(names_of_runs(tmp_path))
+    monkeypatch.setattr("granflow.load.version_of", lambda _: "99.0")
+    found.append(names_of_runs(tmp_path))
+    assert len({name for names in found for name in names}) == 2 * len(found)
 
 
 def sweep_of(**parts):

@@ -93,6 +93,25 @@ def test_stopped_sweep_resumes_from_checkpoints_to_the_same_table(sweep, tmp_pat
     assert [line.split()[0] for line in starts(out)].count("resume") == 1
 
 
+def test_run_whose_scene_was_edited_after_its_check_is_not_kept(sweep, tmp_path):
+    """The scene is edited after the first result: the other runs would have the results of another scene."""
+    out, scene = tmp_path / "out", tmp_path / "spheres.yaml"
+    original = scene.read_text()
+
+    def edit(_, event):
+        if event.endswith("done"):
+            scene.write_text(original.replace("8000", "9000"))
+
+    run_sweep(sweep, out, Workers(jobs=1), report=edit)
+    found = rows(out)
+    assert [row["status"] for row in found[:8]] == ["done"] + ["not run"] * 7
+    assert found[1]["reason"] == f"{scene} has changed since the run was checked; repeat the command."
+    assert [path.parent.name for path in (out / "runs").glob("*/result.json")] == [found[0]["runs"]]
+    run_sweep(sweep, out, Workers(jobs=1))
+    again = rows(out)
+    assert [row["status"] for row in again] == STATUSES and again[0]["runs"] != found[0]["runs"]
+
+
 def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp_path):
     """A lost worker may leave its run behind: the run is not started twice, its result is used."""
     from granflow.io.lock import locked

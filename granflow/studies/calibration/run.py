@@ -15,7 +15,7 @@ from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.calibration.page import write_calibration_page
 from granflow.studies.calibration.results import CalibrationResult, result_of, write_best_scenes, write_result
 from granflow.studies.calibration.schema import CalibrationInput, Target
-from granflow.studies.calibration.search import Search, from_unit, require_optuna
+from granflow.studies.calibration.search import Search, require_optuna
 from granflow.studies.calibration.targets import Measured, read_target
 from granflow.studies.calibration.trials import TrialRunner
 from granflow.studies.run_processes.checked import RunSettings
@@ -103,7 +103,7 @@ def run_calibration(
     stop_file = out / f".stop_{search.worker}"
     common = RunSettings(out / "runs", threads, "cpu", stop_file)
     runner = TrialRunner(search, file.scenes, file.targets, file.positions, common, stop.is_set)
-    runner.check({name: from_unit(each, 0.5) for name, each in file.content.parameters.items()})
+    runner.check()
     with locked(search.lock):
         search.release_lost()
         try:
@@ -146,10 +146,11 @@ class _Workers:
             raise interrupt
 
     def _work(self) -> None:
-        """Carry out trials in one thread. Raises GranflowError if the first trials all fail."""
+        """Carry out trials in one thread. Raises GranflowError if the first trials all fail, or if a scene changes."""
         while not self._stop.is_set():
             with self._asking:
                 self._refuse_failures()
+                self._runner.check()  # a scene may be edited while trials run
                 trial = self._runner.search.next_trial()
             if trial is None:
                 return

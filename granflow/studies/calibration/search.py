@@ -64,6 +64,22 @@ class Search:
                 "directory with --out."
             )
 
+    def refuse_changed(self, inputs: Mapping[str, str]) -> None:
+        """Raise GranflowError if the trials in the journal belong to other contents of scenes or curves.
+
+        `inputs`: digest of each, by its name in messages; that of the first worker is stored.
+        """
+        earlier = self.study.user_attrs.get("inputs")
+        if earlier is None:
+            self.study.set_user_attr("inputs", dict(inputs))
+            return
+        for name, digest in inputs.items():
+            if earlier.get(name) != digest:
+                raise GranflowError(
+                    f"{self._out} contains trials with another content of {name}: it, a file that it reads, or the "
+                    "version of granflow has changed. Restore it, or give another directory with --out."
+                )
+
     def _sampler(self, existing: int) -> Any:
         """The sampler of Optuna; `existing`: number of trials, so that a restart does not repeat random points."""
         samplers, seed = self.optuna.samplers, self.calibration.search.seed + existing

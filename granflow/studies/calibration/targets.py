@@ -5,6 +5,7 @@
 For a curve, r^2 is the mean over its points.
 """
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
@@ -39,6 +40,12 @@ class Measured:
     unit: str = ""
     factor: float = 1.0
     position: str = ""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the measured times and values."""
+        times = np.zeros(0) if self.time is None else self.time
+        return hashlib.sha256(times.tobytes() + b"\n" + self.value.tobytes()).hexdigest()
 
     @property
     def scale(self) -> float:

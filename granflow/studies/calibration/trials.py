@@ -11,7 +11,7 @@ import numpy as np
 
 from granflow.errors import GranflowError, SceneError
 from granflow.studies.calibration.schema import CalibrationInput
-from granflow.studies.calibration.search import FIRST_RANDOM, Search, settings_of
+from granflow.studies.calibration.search import FIRST_RANDOM, Search, from_unit, settings_of
 from granflow.studies.calibration.targets import (
     Measured,
     partial_loss,
@@ -59,13 +59,22 @@ class TrialRunner:
     def _calibration(self) -> CalibrationInput:
         return self.search.calibration
 
-    def check(self, values: Mapping[str, float]) -> None:
-        """Check all scenes with values of the parameters. Raises GranflowError with the reason of the first refusal."""
+    def check(self) -> None:
+        """Check all scenes with the middle values of the parameters, and that they are those of all earlier trials.
+
+        Curves are compared as they were read at the start. Raises GranflowError with the reason of the first refusal.
+        """
+        middle = {name: from_unit(each, 0.5) for name, each in self._calibration.parameters.items()}
+        inputs = {}
         for scene in self.scenes:
             try:
-                self._checked(scene, values)
+                name = f"the scene {scene} ({self._calibration.scenes[scene].scene})"
+                inputs[name] = self._checked(scene, middle).directory.name
             except SceneError as error:
                 raise relocated(error, self.positions) from None
+        curves = {name: each for name, each in self.targets.items() if each.time is not None}
+        inputs |= {f"the curve of {name} ({each.target.curve})": each.digest for name, each in curves.items()}
+        self.search.refuse_changed(inputs)
 
     def _checked(self, scene: str, values: Mapping[str, float]) -> CheckedRun:
         """A checked run of a scene."""
@@ -160,7 +169,7 @@ class TrialRunner:
     def _raise_unless_completed(self, outcome: Outcome) -> None:
         """Raise TrialFailed for a run without a result, and TrialStopped if the calibration stops."""
         if outcome.status == NOT_RUN:
-            if self.stop():
+            if self.stop() or outcome.reason:  # with a reason: an input has changed, which the next check reports
                 raise TrialStopped
         elif not outcome.has_numbers:
             raise TrialFailed(f"{outcome.status}: {outcome.reason}")

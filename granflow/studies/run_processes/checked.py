@@ -1,4 +1,4 @@
-"""Runs checked before they start: resolved scene, plan, directory by the hash of the scene, and set of kernels."""
+"""Runs checked before they start: resolved scene, plan, directory by the identity of the run, and set of kernels."""
 
 import hashlib
 from collections.abc import Mapping
@@ -8,6 +8,8 @@ from typing import Any
 
 from granflow import Plan, Scene, load_scene, plan_for
 from granflow.errors import FileError
+from granflow.load import identity_of
+from granflow.studies.run_processes.inputs import RunInputs, source_digest
 from granflow.studies.run_processes.process import RunRequest
 from granflow.studies.run_processes.quantities import unknown_quantity
 from granflow.studies.run_processes.settings import overrides_of
@@ -62,21 +64,24 @@ def checked_run(
     problems += scene.problems_without_program()
     if problems:
         raise FileError(problems)
-    directory = (common.runs / scene_hash(scene, common.arch)).resolve()
+    plan = plan_for(scene)
+    inputs = RunInputs.of(scene)
+    directory = (common.runs / run_identity(scene, common.arch)).resolve()
     request = RunRequest(
-        str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve())
-    )
-    return CheckedRun(request, scene.seed, _kernel_set(scene, plan_for(scene), common.arch))
+        str(path.resolve()), overrides, str(directory), common.threads, common.arch, str(common.stop_file.resolve()),
+        inputs=inputs,
+    )  # fmt: skip
+    return CheckedRun(request, scene.seed, _kernel_set(scene, plan, common.arch))
 
 
-def scene_hash(scene: Scene, arch: str) -> str:
-    """Hash of the resolved scene, of the mesh and particle files that it reads, and of the compute device."""
-    digest = hashlib.sha256(f"{arch}\n{scene.to_yaml()}".encode())
-    files = [wall.file for wall in scene.walls.values() if wall.shape == "mesh"]
-    files += [group.insert.file for group in scene.particles.values() if group.insert.kind == "file"]
-    for name in files:
-        digest.update((scene.folder / name).read_bytes())
-    return digest.hexdigest()[:HASH_DIGITS]
+def run_identity(scene: Scene, arch: str) -> str:
+    """Hash of all that determines the result of a run: program version, compute device, scene, contents of its inputs.
+
+    The inputs are meshes, tables, particle files, and the particles of the run in `start_from`.
+    """
+    source = "" if scene.start_from is None else source_digest(Path(scene.start_from))
+    text = f"{arch}\n{identity_of(scene)}\n{source}"
+    return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
 
 
 def _kernel_set(scene: Scene, plan: Plan, arch: str) -> str:

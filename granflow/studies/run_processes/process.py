@@ -1,6 +1,7 @@
 """One run in a worker process: started, or resumed from its checkpoint, and watched until it ends."""
 
 import os
+import shutil
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -9,9 +10,11 @@ from pathlib import Path
 
 from granflow.errors import GranflowError, RunError
 from granflow.io.lock import locked
+from granflow.studies.run_processes.inputs import RunInputs
 from granflow.studies.run_processes.outcome import (
     ABORTED,
     CRASHED,
+    NOT_RUN,
     REFUSED,
     UNFINISHED,
     Outcome,
@@ -26,6 +29,9 @@ POLL = 0.2
 STOP_TIMEOUT = 120.0
 """Time [s] for a stopped run to write its checkpoint; after it the process is killed."""
 
+AS_RUN = "scene_as_run.yaml"
+"""File that a run writes to its directory when it has read its inputs."""
+
 MESSAGES = "stderr.txt"
 """File in the directory of a run with the messages of its last attempt."""
 
@@ -38,7 +44,7 @@ class RunRequest:
 
     `scene`, `directory`: absolute paths, which all workers must be able to read and write; `until`: simulated time at
     which the run ends early, as in `granflow run --until`, or ""; `stop_file`: the run is stopped as soon as this file
-    exists.
+    exists; `inputs`: files that the run reads, with their contents when it was checked.
     """
 
     scene: str
@@ -48,6 +54,7 @@ class RunRequest:
     arch: str
     stop_file: str
     until: str = ""
+    inputs: RunInputs | None = None
 
     @property
     def new(self) -> list[str]:
@@ -71,7 +78,8 @@ def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False
 
     A run that has ended is not repeated; one with a checkpoint is resumed. A process that still writes into the
     directory, such as one whose worker was killed, is waited for. The run is stopped with a checkpoint if the stop file
-    exists or `should_stop` returns True.
+    exists or `should_stop` returns True. A run whose inputs have changed since it was checked does not belong to its
+    directory: it has the status NOT_RUN with a reason, and leaves no files.
     """
     directory, stop_file = Path(request.directory), Path(request.stop_file)
 
@@ -85,13 +93,61 @@ def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False
         return known
     began = time.monotonic()
     has_checkpoint = any(directory.glob("checkpoint_*.npz"))
-    code = _watch(request.resumed if has_checkpoint else request.new, directory, stopping)
-    if code == REFUSAL and has_checkpoint:
-        code = _watch(request.new, directory, stopping)
+    starting = _Start(request)
+    code: int | None = REFUSAL
+    if has_checkpoint:  # a resumed run reads the copies of the inputs in its directory
+        code = _watch(request.resumed, directory, stopping)
+    if code == REFUSAL and not starting.has_changed():
+        code = _watch(request.new, directory, lambda: stopping() or starting.has_changed())
+        starting.complete()
+    if starting.change:
+        shutil.rmtree(directory, ignore_errors=True)
+        return Outcome(NOT_RUN, starting.change)
     outcome = _outcome(directory, code, time.monotonic() - began)
-    if outcome != UNFINISHED:
+    if outcome.status != NOT_RUN:
         write_outcome(directory, outcome)
     return outcome
+
+
+class _Start:
+    """Compares the inputs of a run with their contents when it was checked: before it starts, and once it has begun.
+
+    A run has read its inputs when it has written its scene. Later changes of the files do not concern it. `change`:
+    sentence on an input that has changed.
+    """
+
+    def __init__(self, request: RunRequest) -> None:
+        self._inputs = request.inputs
+        self._record = Path(request.directory) / AS_RUN
+        self._before: int | None = None
+        self._is_known = self._has_started = False
+        self.change = ""
+
+    def has_changed(self) -> bool:
+        """Whether an input has changed; compared at the first call, and at the first one after the start of the run."""
+        if not self._is_known:
+            self._before, self._is_known = self._written(), True
+            self._compare()
+        elif not self._has_started and self._written() != self._before:
+            self._has_started = True
+            self._compare()
+        return bool(self.change)
+
+    def complete(self) -> None:
+        """Compare the inputs of a run that has ended before its start was seen."""
+        if not self._has_started:
+            self._compare()
+
+    def _compare(self) -> None:
+        if self._inputs is not None and not self.change:
+            self.change = self._inputs.change()
+
+    def _written(self) -> int | None:
+        """When the scene was written to the directory of the run [ns]; None if it is not."""
+        try:
+            return self._record.stat().st_mtime_ns
+        except OSError:
+            return None
 
 
 def _wait_until_free(directory: Path, stopping: Callable[[], bool]) -> bool:
