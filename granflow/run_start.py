@@ -76,13 +76,13 @@ def run_start(
     return RunStart(plan, original, initial, earlier, change, ParticleInsertion(scene, earlier), warnings)
 
 
-def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None") -> Engine:
+def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None", scene: Scene) -> Engine:
     """The engine of a run; with a communicator that of the root, and only such runs import it."""
     if communicator is None:
         return Engine(plan, backend)
     from granflow.parallel.rank_engine import RankEngine
 
-    return RankEngine(plan, backend, communicator)
+    return RankEngine(plan, backend, communicator, scene)
 
 
 def _refuse_size(plan: Plan, backend: Backend) -> None:

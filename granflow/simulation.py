@@ -114,7 +114,7 @@ class Simulation:
         )  # fmt: skip
         self.warnings, plan = begin.warnings, begin.plan
         self.files.create()
-        engine = engine_for(plan, backend, communicator)
+        engine = engine_for(plan, backend, communicator, scene)
         from_scene = observers_for(plan, self.files.path, progress, self.files.writer, write_pieces(engine))
         self.observers = ObserverList(from_scene, observers)
         self._state = RunState(engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original)

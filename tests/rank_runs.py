@@ -56,17 +56,17 @@ def main(name, path, kind):
         with controlling(communicator):
             save(path, Simulation(scene, threads=threads, communicator=communicator))
     else:
-        serve(communicator, lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator))
+        serve(communicator, lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator, scene))
 
 
 def faulty_engine(kind):
     """The class of an engine with a fault at the start or within a command, in the root or in all other ranks."""
 
     class FaultyEngine(RankEngine):
-        def __init__(self, plan, backend, communicator):
+        def __init__(self, plan, backend, communicator, scene):
             if kind == "failing_start" and not communicator.is_root:
                 raise ArithmeticError(FAULT.format(time.time()))
-            super().__init__(plan, backend, communicator)
+            super().__init__(plan, backend, communicator, scene)
 
         def advance(self, steps):
             with self.communicator.commanding("advance", (steps,)):

@@ -55,4 +55,4 @@ def _rank_engine(
     from granflow.engine.state_cache import start
     from granflow.parallel.rank_engine import RankEngine
 
-    return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator)
+    return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator, scene)

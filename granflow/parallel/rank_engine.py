@@ -21,6 +21,7 @@ from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
 from granflow.io.checkpoint_file import CheckpointError
+from granflow.load import Scene, identity_of
 from granflow.parallel.checkpoint_share import share_of_checkpoint
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
@@ -32,6 +33,12 @@ _T = TypeVar("_T")
 
 START, END = "start", "end"
 """Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
+
+
+def _ranks_with_another_scene(communicator: Communicator, scene: Scene) -> list[int]:
+    """Ranks whose scene, contents of its files or version of granflow differ from those of the root."""
+    found = communicator.from_each(identity_of(scene))
+    return [rank for rank, identity in enumerate(found) if identity != found[0]]
 
 
 def _on_all_ranks(name: str) -> Any:
@@ -46,21 +53,39 @@ def _on_all_ranks(name: str) -> Any:
     return call
 
 
+class OtherScene(GranflowError):
+    """A rank has another scene, other contents of its files, or another version of granflow than the root."""
+
+
 class RankEngine(Engine):
     """As `Engine`, for a part of the particles. On the root, arrays and totals are those of all particles.
 
-    plan:  of the complete scene
+    plan:    of the complete scene
+    scene:   of the plan
+    Raises:  OtherScene on all ranks if their scenes differ, before any of them has an engine
     """
 
-    def __init__(self, plan: Plan, backend: Backend, communicator: Communicator) -> None:
+    def __init__(self, plan: Plan, backend: Backend, communicator: Communicator, scene: Scene) -> None:
         self.communicator = communicator
         with communicator.commanding(START):
-            super().__init__(rank_plan(plan, communicator.size), backend)
-            self.state.ranks = communicator
-            gc.collect()
-            gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
-            atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
-            communicator.barrier()
+            different = _ranks_with_another_scene(communicator, scene)
+            if not different:
+                self._create(plan, backend)
+        if different:
+            ranks = ", ".join(map(str, different))
+            raise OtherScene(
+                f"The scene of rank {ranks} differs from that of rank 0, {scene.path}, in its values, in a file "
+                "that it reads, or in the version of granflow: give all ranks the same files and the same installation."
+            )
+
+    def _create(self, plan: Plan, backend: Backend) -> None:
+        """Create the engine of this rank, together with all other ranks."""
+        super().__init__(rank_plan(plan, self.communicator.size), backend)
+        self.state.ranks = self.communicator
+        gc.collect()
+        gc.freeze()  # else a step in some hundreds takes 60 ms longer: Python searches all objects of the compiler
+        atexit.register(gc.unfreeze)  # else Taichi is not destroyed, which stores the compiled kernels
+        self.communicator.barrier()
 
     def free(self) -> None:
         """As `Engine`; the objects of the process are searched for cycles again."""

@@ -3,11 +3,11 @@
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from granflow.errors import GranflowError
 from granflow.parallel.communicator import Communicator
-from granflow.parallel.rank_engine import END, START, RankEngine
+from granflow.parallel.rank_engine import END, START, OtherScene, RankEngine
 
 EXIT_FAILED_RANK = 3
 """Exit code of all ranks after a failure of one of them."""
@@ -25,7 +25,8 @@ def serve(communicator: Communicator, engine: Callable[[], RankEngine]) -> None:
             if name == END:
                 return
             if name == START:
-                present = engine()
+                with suppress(OtherScene):  # the root reports it and ends the other ranks
+                    present = engine()
             else:
                 getattr(present, name)(*arguments)
 
@@ -61,7 +62,10 @@ def _fatal(communicator: Communicator) -> Iterator[None]:
 
 
 def _abort(communicator: Communicator) -> None:
-    """Print the exception that is handled, and end all ranks."""
-    sys.stderr.write(f"granflow: rank {communicator.rank} failed, which ends all ranks.\n{traceback.format_exc()}")
+    """Print the exception that is handled, one sentence for an error of the input, and end all ranks."""
+    error = sys.exc_info()[1]
+    is_sentence = isinstance(error, GranflowError | OSError)
+    reason = f"granflow: {error}\n" if is_sentence else traceback.format_exc()
+    sys.stderr.write(f"granflow: rank {communicator.rank} failed, which ends all ranks.\n{reason}")
     sys.stderr.flush()
     communicator.abort(EXIT_FAILED_RANK)

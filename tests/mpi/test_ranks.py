@@ -62,6 +62,28 @@ def test_files_of_a_run_on_ranks_equal_those_without_mpi(tmp_path):
     assert_same_files(tmp_path / "one", tmp_path / "two")
 
 
+def test_ranks_with_different_scenes_are_refused_with_one_sentence(tmp_path):
+    """Each rank runs in a folder of its own; the scene of rank 1 has another restitution, or does not exist."""
+    folders = [tmp_path / "0", tmp_path / "1"]
+    for folder, e in zip(folders, (0.8, 0.3), strict=True):
+        folder.mkdir()
+        groups = {"pair": particle_group([[0.0, 0.0, 0.0], [0.0, 0.0, 0.011]])}
+        build_scene(groups, pair={"restitution": e}, run={"duration": 1e-3}).save(folder / "scene.yaml")
+    program = (
+        "import os, sys; from mpi4py import MPI; os.chdir(sys.argv.pop(1) + str(MPI.COMM_WORLD.rank));"
+        "from granflow.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    arguments = ("-c", program, f"{tmp_path}/", "run", "scene.yaml", "--mpi")
+    done = on_ranks(2, *arguments)
+    assert done.returncode != 0 and "Traceback" not in done.stderr
+    assert "The scene of rank 1 differs from that of rank 0, scene.yaml, in its values" in done.stderr
+    assert not (folders[0] / "out" / "scene" / "result.json").exists()
+    (folders[1] / "scene.yaml").unlink()
+    done = on_ranks(2, *arguments)
+    assert done.returncode != 0 and "Traceback" not in done.stderr
+    assert "rank 1 failed, which ends all ranks.\ngranflow: scene.yaml" in done.stderr
+
+
 def test_ranks_store_their_kernels_for_the_next_run(tmp_path, monkeypatch):
     cache, scene = tmp_path / "cache", small_scene(tmp_path)
     monkeypatch.setenv(VARIABLE, str(cache))
