@@ -56,7 +56,10 @@ def main(name, path, kind):
         with controlling(communicator):
             save(path, Simulation(scene, threads=threads, communicator=communicator))
     else:
-        serve(communicator, lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator, scene))
+        serve(
+            communicator,
+            lambda: engine(plan_for(scene), start("cpu", scene.run.precision, threads), communicator, scene),
+        )
 
 
 def faulty_engine(kind):

@@ -110,15 +110,15 @@ def source_run(folder, x, wall_clock):
 
 
 MESH = (
-    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 -1\nvertex {x} 0 -1\nvertex 0 1 -1\nendloop\nendfacet\nendsolid a\n"
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 -1\nvertex {x} 0 -1\nvertex 0 1 -1\nendloop\n"
+    "endfacet\nendsolid a\n"
 )
 
 
 def test_directory_of_a_run_changes_with_the_contents_of_its_inputs_and_the_version(tmp_path, monkeypatch):
     """Meshes, tables of motion, the run in start_from and the version; not with a repetition of that run."""
     walls = (
-        "walls:\n  lid: {shape: mesh, file: lid.stl, material: steel, motion: MOTION}\n"
-        "start_from: source\n"
+        "walls:\n  lid: {shape: mesh, file: lid.stl, material: steel, motion: MOTION}\nstart_from: source\n"
     ).replace("MOTION", "[{kind: table, file: lid.csv, direction: [0, 0, 1]}]")
     (tmp_path / "spheres.yaml").write_text(SCENE.replace("domain:", walls + "domain:"))
     (tmp_path / "lid.stl").write_text(MESH.format(x=1))

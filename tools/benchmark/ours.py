@@ -131,7 +131,7 @@ def measure_on_ranks(
         with controlling(communicator):
             return measured(simulation_for(case, law, precision, 1, skin, communicator), case, warm, window)
     scene = scene_for(case, law, precision, skin)
-    serve(communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator))
+    serve(communicator, lambda: RankEngine(plan_for(scene), start("cpu", scene.run.precision, 1), communicator, scene))
     return None
 
 

@@ -54,7 +54,9 @@ def source_digest(directory: Path) -> str:
     """
     files = [*directory.glob(PATTERN), *directory.glob(RANK_PATTERN)]
     states = ((path.name, path.stat()) for path in sorted(files))
-    return _source_digest(directory, tuple((name, each.st_ino, each.st_size, each.st_mtime_ns) for name, each in states))
+    return _source_digest(
+        directory, tuple((name, each.st_ino, each.st_size, each.st_mtime_ns) for name, each in states)
+    )
 
 
 @lru_cache(maxsize=64)
