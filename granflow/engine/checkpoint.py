@@ -36,20 +36,41 @@ class RankFileWriter(Protocol):
         """Write `saved_particles` of a rank, which are `count`; returns the entry of the checkpoint. Raises OSError."""
 
 
-def rank_file_entries(engine: Engine, writer: RankFileWriter) -> list[dict[str, Any]]:
-    """Let all MPI ranks but the root write their particles; returns the entries of the checkpoint. Raises OSError."""
-    entries = engine.on_each_rank(partial(_write_rank_file, writer=writer))
+def rank_file_entries(engine: Engine, writer: RankFileWriter, kept: bool = False) -> list[dict[str, Any]]:
+    """Let all MPI ranks but the root write their particles; returns the entries of the checkpoint.
+
+    kept:    those of `keep_particles` instead of the present ones
+    Raises:  OSError
+    """
+    entries = engine.on_each_rank(partial(_write_rank_file, writer=writer, kept=kept))
     return [entry for entry in entries if entry is not None]
 
 
-def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter) -> dict[str, Any] | None:
+def _write_rank_file(engine: Engine, rank: int, writer: RankFileWriter, kept: bool) -> dict[str, Any] | None:
     """Write the particles of this rank; the checkpoint itself contains those of the root."""
-    return writer.write(rank, engine.state.count, saved_particles(engine)) if rank else None
+    if not rank:
+        return None
+    saved = saved_particles(engine, kept)
+    return writer.write(rank, len(saved["particles"]["id"]), saved)
 
 
-def saved_particles(engine: Engine) -> SavedState:
-    """Particles and contacts of this rank, in the order of the ids, as in `saved_state`."""
-    particles = engine.saved_particles().by_id()
+def keep_particles(engine: Engine) -> None:
+    """Keep a copy of the particles on the host, on each MPI rank, for a later checkpoint of the present state."""
+    engine.on_each_rank(_keep_particles)
+
+
+def _keep_particles(engine: Engine, _rank: int) -> None:
+    engine.kept_particles = engine.saved_particles()
+
+
+def saved_particles(engine: Engine, kept: bool = False) -> SavedState:
+    """Particles and contacts of this rank, in the order of the ids, as in `saved_state`.
+
+    kept:  those of `keep_particles` instead of the present ones
+    """
+    found = engine.kept_particles if kept else engine.saved_particles()
+    assert found is not None
+    particles = found.by_id()
     contacts = particles.histories
     return {
         "particles": particles.arrays,
@@ -63,6 +84,11 @@ def saved_state(engine: Engine) -> SavedState:
     Nested dictionaries of numbers and numpy arrays; particle arrays (n,) or (n, 3) in the order of the ids; contacts as
     `Histories`, with histories by the slots of the contact models. On MPI ranks, the particles of the root only.
     """
+    return saved_sums_and_clocks(engine) | saved_particles(engine)
+
+
+def saved_sums_and_clocks(engine: Engine) -> SavedState:
+    """The part of `saved_state` without the particles and their contacts."""
     state = engine.state
     return {
         "clock": state.clock.state_dict(),
@@ -72,7 +98,6 @@ def saved_state(engine: Engine) -> SavedState:
         "walls_present": [bool(state.walls.present[index]) for index in range(len(engine.plan.walls))],
         "accounting": engine.accounting.state_dict(),
         "clocks": {name: getattr(engine.timing, name) for name in CLOCKS},
-        **saved_particles(engine),
         **engine.saved_sums(),
     }
 

@@ -57,6 +57,7 @@ class Engine(Readings):
         self._started = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
+        self.kept_particles: HostParticles | None = None
 
     def _new_stepper(self) -> Stepper:
         """The stepper of the state."""

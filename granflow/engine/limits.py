@@ -42,6 +42,10 @@ NOT_HALTED = 2**31 - 1
 """Larger than the number of any launch on a GPU."""
 
 
+OVERLAP_MARGIN = 1.4
+"""Limit of the overlap that lets an aborted run continue, over the overlap at the abort: it still increases."""
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Cause of an aborted run.
@@ -71,6 +75,13 @@ def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         noun = "forces" if len(plan.external_forces) > 1 else "force"
         return f"{message} The {noun} from Python may also be the cause: check the values of {names}."
     return message
+
+
+def permitted_change(diagnosis: Diagnosis) -> str:
+    """KEY=VALUE for a run that continues before the abort: a limit above the overlap; empty if none is known."""
+    if diagnosis.reason != "overlap" or diagnosis.pair is None or diagnosis.pair.overlap >= LARGEST_OVERLAP:
+        return ""
+    return f"numerics.max_overlap={min(OVERLAP_MARGIN * diagnosis.pair.overlap, LARGEST_OVERLAP):.2g}"
 
 
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:

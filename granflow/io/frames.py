@@ -101,9 +101,13 @@ class FrameSeries:
             temporary.write_bytes(listing)
         self._listing_size = len(listing)
 
+    def wait(self) -> None:
+        """Wait until all frames are written. Raises OSError."""
+        self._writer.wait()
+
     def sync(self) -> None:
         """Wait for all frames and flush them to the disk; skip files that no longer exist. Raises OSError."""
-        self._writer.wait()
+        self.wait()
         sync_all(self._unsynced)
         self._unsynced = []
 

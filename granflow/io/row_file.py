@@ -41,10 +41,13 @@ class RowFile:
             self._file.close()
             self._file = None
 
-    def state_dict(self) -> dict[str, Any]:
-        """Flush all rows to the disk; return the file size [bytes] and the rest of an incomplete row."""
+    def sync(self) -> None:
+        """Flush all rows to the disk. Raises OSError."""
         if self._file is not None:
             os.fsync(self._file.fileno())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the file size [bytes] and the rest of an incomplete row."""
         return {"size": self._size, "unwritten": self._unwritten.decode()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

@@ -30,6 +30,14 @@ class Observer(Protocol):
 
 
 @runtime_checkable
+class WritesFiles(Protocol):
+    """An observer with files that belong to a checkpoint."""
+
+    def sync(self) -> None:
+        """Flush the files to the disk. Raises OSError."""
+
+
+@runtime_checkable
 class Checkpointable(Protocol):
     """An observer whose state is part of checkpoints."""
 

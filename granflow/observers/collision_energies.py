@@ -47,6 +47,10 @@ class CollisionEnergies(ScheduledObserver):
         """Close the file."""
         self._rows.close()
 
+    def sync(self) -> None:
+        """Flush all rows to the disk."""
+        self._rows.sync()
+
     def state_dict(self) -> dict[str, Any]:
         """Return the time of the last rows, the counts there, and the size of the file."""
         return super().state_dict() | self._rows.state_dict() | {"counted": dict(self._counted)}

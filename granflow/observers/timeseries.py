@@ -142,8 +142,13 @@ class TimeSeries(ScheduledObserver):
             for name, meter in self._named(kind):
                 yield from ((quantity, name, value) for quantity, value in meter.readings().items())
 
+    def sync(self) -> None:
+        """Flush all rows to the disk."""
+        if self._rows is not None:
+            self._rows.sync()
+
     def state_dict(self) -> dict[str, Any]:
-        """Flush all rows to the disk; return the file size [bytes], the columns and the state of the meters."""
+        """Return the file size [bytes], the columns and the state of the meters."""
         rows = {"columns": self._names} | (NO_ROWS if self._rows is None else self._rows.state_dict())
         meters = {
             kind: {name: each.state_dict() for name, each in named.items()} for kind, named in self.meters.items()

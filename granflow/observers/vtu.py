@@ -49,10 +49,14 @@ class Frames(ScheduledObserver):
         """Write one frame."""
         self.series.write(self.mesh(snapshot), snapshot.time)
 
+    def sync(self) -> None:
+        """Flush the frames to the disk."""
+        self.series.sync()
+
     def state_dict(self) -> dict[str, Any]:
-        """Flush the frames to the disk; return their list and number."""
+        """Wait until the frames are written; return their list and number."""
         series = self.series
-        series.sync()
+        series.wait()
         return super().state_dict() | {"frames": list(series.frames), "frame_count": series.frame_count}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

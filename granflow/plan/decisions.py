@@ -19,6 +19,7 @@ from granflow.plan.meshes import MeshNote
 from granflow.plan.outlets import PlannedOutlet
 from granflow.plan.scene_parts import PlannedGroup, PlannedStage
 from granflow.plan.settings import OptionalSetting
+from granflow.plan.sum_units import SumUnits
 from granflow.plan.time_step import PairCase, TimeStep
 from granflow.plan.wall_control import ControlledMotion
 from granflow.plan.walls import PlannedWall
@@ -95,5 +96,7 @@ class Decisions:
     """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
     external_forces: tuple[ExternalForce, ...] = ()
     """Forces that a program has added; none follow from the scene."""
+    saved_sum_units: SumUnits | None = None
+    """Units of the sums of the run that a checkpoint continues, in which it has saved them; None for a new run."""
     has_ghosts: bool = False
     """Whether the run is one of several MPI ranks: its neighbor lists contain ghosts, see `plan.ranks`."""

@@ -110,7 +110,9 @@ class Plan(Decisions):
 
     @cached_property
     def sum_units(self) -> SumUnits:
-        """Units of the sums over contacts."""
+        """Units of the sums over contacts; they do not change when a run continues with another overlap limit."""
+        if self.saved_sum_units is not None:
+            return self.saved_sum_units
         farthest = 2.0 * float(np.abs([self.domain_low, self.domain_high]).max())
         return sum_units(
             self.pair_cases, self.law, self.velocity_max, self.max_overlap, self.radius_max, self.longest_time_step,

@@ -15,8 +15,8 @@ exact in f64, and also exact if their terms are in f32, of which those above 2^-
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import ceil, log2
+from dataclasses import astuple, dataclass
+from math import ceil, frexp, inf, log2
 
 import numpy as np
 
@@ -59,6 +59,11 @@ class SumUnits:
     impulse: float
     angular_impulse: float
     wall_force: float
+
+    @property
+    def are_valid(self) -> bool:
+        """Whether all units are powers of two."""
+        return all(0.0 < unit < inf and frexp(unit)[0] == 0.5 for unit in astuple(self))
 
     @property
     def largest_force(self) -> float:

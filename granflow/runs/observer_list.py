@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from math import inf
 
 from granflow.errors import FunctionError, GranflowError, StopRun
-from granflow.observers.base import Checkpointable, Observer
+from granflow.observers.base import Checkpointable, Observer, WritesFiles
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.timeseries import Row, TimeSeries
 from granflow.runs.timings import Readings
@@ -147,6 +147,12 @@ class ObserverList(Sequence[Observer]):
         """Return the observers whose state is part of checkpoints, by unique names."""
         named = _by_name(self._from_scene) | _by_name([each for each in self if each not in self._from_scene])
         return {name: each for name, each in named.items() if isinstance(each, Checkpointable) and each in self}
+
+    def sync(self) -> None:
+        """Flush the files of the observers of the scene to the disk: a checkpoint names their sizes."""
+        for observer in self._observers:
+            if isinstance(observer, WritesFiles):
+                observer.sync()
 
     def finish(self) -> None:
         """Close the files of all observers."""

@@ -4,7 +4,7 @@ Functions cannot be stored: a program that resumes the run must register functio
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, astuple, fields, replace
 from typing import Any
 
 from granflow.errors import GranflowError
@@ -13,12 +13,13 @@ from granflow.io.checkpoint import Checkpoint
 from granflow.io.checkpoint_parts import LARGEST_REAL, Part
 from granflow.plan.external_forces import ExternalForce
 from granflow.plan.plan import Plan
+from granflow.plan.sum_units import SumUnits
 from granflow.plan.wall_changes import MOTIONS, changed_walls, wall_named, with_wall
 from granflow.plan.walls import PlannedMotion, PlannedWall
 from granflow.runs.observer_list import ObserverList
 
-KEYS = ("particle_capacity", "walls", "external_forces", "forces", "functions", "removed_observers")
-"""Keys of the changes in a checkpoint."""
+KEYS = ("particle_capacity", "sum_units", "walls", "external_forces", "forces", "functions", "removed_observers")
+"""Keys of the changes in a checkpoint, and of what the plan of another scene would change."""
 
 MOST_PARTICLES = 2**31 - 2
 """Largest capacity: indices on the device are 32-bit integers."""
@@ -34,6 +35,7 @@ def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[s
     """
     return {
         "particle_capacity": plan.particle_capacity,
+        "sum_units": list(astuple(plan.sum_units)),
         "walls": {name: _saved_wall(wall) for name, wall in changed_walls(plan, original).items()},
         "external_forces": plan.features.external_forces,
         "forces": {
@@ -48,7 +50,7 @@ def saved_changes(plan: Plan, original: Plan, observers: ObserverList) -> dict[s
 
 
 def changed_plan(plan: Plan, checkpoint: Checkpoint) -> Plan:
-    """Return the plan of the scene with the capacity, walls and features of the checkpoint.
+    """Return the plan of the scene with the capacity, units of sums, walls and features of the checkpoint.
 
     Raises CheckpointError for values that are not valid, GranflowError for walls that are too fast.
     """
@@ -57,7 +59,10 @@ def changed_plan(plan: Plan, checkpoint: Checkpoint) -> Plan:
     # A scene with more particles than that of the checkpoint is refused later, with the keys that differ.
     capacity = max(part["particle_capacity"].integer(1, MOST_PARTICLES), plan.particle_capacity)
     features = replace(plan.features, external_forces=part["external_forces"].flag())
-    plan = replace(plan, particle_capacity=capacity, features=features)
+    units = SumUnits(*(each.number() for each in part["sum_units"].items(len(fields(SumUnits)))))
+    if not units.are_valid:
+        raise part["sum_units"].error("holds a number that is not a power of two")
+    plan = replace(plan, particle_capacity=capacity, features=features, saved_sum_units=units)
     part["walls"].mapping()
     for each in part["walls"].parts():
         name = each.key.rsplit("/", 1)[-1]

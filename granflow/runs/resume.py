@@ -1,6 +1,7 @@
 """Checks whether a run can continue from a checkpoint with a given scene."""
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -72,6 +73,13 @@ class Change:
     def affects_contacts(self) -> bool:
         """Whether walls or pairs differ, so that forces must be recomputed before the next step."""
         return any(each.key.startswith(("walls.", "pairs.")) for each in self.differences)
+
+    @property
+    def keeps_course(self) -> bool:
+        """Whether all events and conditions are those of the run so far: only limits and texts differ."""
+        return all(
+            re.match(r"(title|description|expect|numerics|output\.checkpoint)\b", each.key) for each in self.differences
+        )
 
     def moves_stage_end(self, index: int) -> bool:
         """Return whether the end of the stage with this index has changed."""

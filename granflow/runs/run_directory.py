@@ -1,6 +1,7 @@
 """Output directory of a run: lock, log, copies of input files, checkpoints, and result."""
 
 import logging
+import shlex
 import time as clock
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -138,14 +139,14 @@ class RunDirectory:
             self._checkpoints.write(time, step, lambda writer: state(writer) | {"warnings": self.warnings})
             self._log.info("checkpoint at %.6g s, written in %.3g s", time, clock.perf_counter() - began)
 
-    def save_if_due(self, time: float, step: int, state: SavedBy) -> None:
-        """Write a checkpoint if one is due, and log a write error.
+    def save_if_due(self, time: float, step: int, state: SavedBy) -> bool:
+        """Write a checkpoint if one is due, and log a write error; return whether one was written.
 
         Raises OSError if the directory is gone, or if a frame cannot be written.
         """
         self.writer.check()
         if self._checkpoints is None or not self._checkpoints.due(time):
-            return
+            return False
         self.writer.wait()
         try:
             self.save(time, step, state)
@@ -153,6 +154,8 @@ class RunDirectory:
             if self.path is None or not self.path.is_dir():
                 raise
             logging.getLogger("granflow.checkpoint").warning("No checkpoint at %.6g s: %s", time, error)
+            return False
+        return True
 
     def write(self, result: Result) -> Result:
         """Write the result of the run with all its warnings, after all frames; return it with the warnings."""
@@ -162,19 +165,27 @@ class RunDirectory:
             write_result(self.path, result)
         return result
 
-    def note_on_state(self, written: bool) -> str:
-        """Return a sentence for an aborted run: whether its state is `written`; empty without a path.
+    def note_on_state(self, written: bool, change: str) -> str:
+        """Return sentences for an aborted run: whether its state is `written`, and the command that continues.
 
-        Before the first frame of the run, the previous one will be restored, see `open`. Waits for the frames.
+        `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is known to.
+        Empty without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits
+        for the frames.
         """
         self.writer.wait()
         if self.path is None:
             return ""
         if (self.path / PREVIOUS).is_dir():
             return f" Nothing is written; {self.path} keeps the earlier run."
-        if written:
-            return f" The state is written to {self.path}."
-        return f" The state is not finite and is not written; {self.path} contains the earlier frames."
+        note = f" The state is written to {self.path}."
+        if not written:
+            note = f" The state is not finite and is not written; {self.path} contains the earlier frames."
+        if self.checkpoint_time is None:
+            return note
+        command = f"granflow resume {shlex.quote(str(self.path))}"
+        if change:
+            return f"{note} {command} --set {change} continues from the last good state."
+        return f"{note} {command} continues from the last good state, and stops here again unless the scene is changed."
 
     def output_error(self, error: OSError, time: float, save: Callable[[], None] | None) -> OutputError:
         """Return the error for files that cannot be written, after a checkpoint by `save` if that is possible.

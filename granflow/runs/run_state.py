@@ -1,8 +1,19 @@
 """The complete state of a run, except for its scene: what a checkpoint contains."""
 
+import time as clock
+from copy import deepcopy
+from dataclasses import dataclass
+from math import inf
 from typing import Any
 
-from granflow.engine.checkpoint import RankFileWriter, rank_file_entries, restore_state, saved_state
+from granflow.engine.checkpoint import (
+    RankFileWriter,
+    keep_particles,
+    rank_file_entries,
+    restore_state,
+    saved_particles,
+    saved_sums_and_clocks,
+)
 from granflow.engine.engine import Engine
 from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
@@ -60,6 +71,17 @@ class RunState:
 
         `writer`: writes the particles of MPI ranks other than the root before. Raises OSError.
         """
+        self.observers.sync()
+        rank_files = rank_file_entries(self.engine, writer)
+        return _with_particles(self._without_particles(), rank_files, saved_particles(self.engine))
+
+    def kept(self) -> "KeptState":
+        """Return a copy of the present state in memory; it replaces the copy before it."""
+        keep_particles(self.engine)
+        return KeptState(self.engine, self.engine.time, self.engine.step_count, deepcopy(self._without_particles()))
+
+    def _without_particles(self) -> dict[str, Any]:
+        """The state for a checkpoint without the particles and their contacts."""
         return {
             "stage_progress": self.progress.state_dict(),
             "wall_clock": self.wall_clock.state_dict(self.engine),
@@ -69,8 +91,7 @@ class RunState:
             "insertion": self.insertion.state_dict(),
             "observers": {name: observer.state_dict() for name, observer in self.observers.checkpointed().items()},
             "stability": self.engine.stability_monitor.state_dict(),
-            "rank_files": rank_file_entries(self.engine, writer),
-            "engine": saved_state(self.engine),
+            "engine": saved_sums_and_clocks(self.engine),
         }
 
     def load_state_dict(self, checkpoint: Checkpoint, change: Change) -> None:
@@ -85,9 +106,7 @@ class RunState:
         counts = {group.name: group.count for group in engine.plan.groups}
         check_streams(checkpoint, self.insertion.state_dict(), counts)
         reopened = change.moves_stage_end(len(saved["stage_progress"]["stage_times"]) - 1)
-        progress.load_state_dict(
-            saved["stage_progress"], engine.plan.stages, reopened, same_scene=not change.differences
-        )
+        progress.load_state_dict(saved["stage_progress"], engine.plan.stages, reopened, change.keeps_course)
         motions = wall_motions([wall.motions for wall in engine.plan.walls], progress.stage_times)
         restore_state(engine, saved["engine"], motions, rank_files_of(checkpoint))
         engine.set_stage(progress.stage)
@@ -102,3 +121,70 @@ class RunState:
             progress.changes = tuple(time for time in times if not engine.reached(time))
             progress.set_walls(engine)
             engine.refresh()
+
+
+@dataclass(frozen=True)
+class KeptState:
+    """A state of a run in the memory of each process, from which a checkpoint can be written later.
+
+    `engine`: keeps the particles; `time` [s], `step`: of the state; `saved`: all else.
+    """
+
+    engine: Engine
+    time: float
+    step: int
+    saved: dict[str, Any]
+
+    def state_dict(self, writer: RankFileWriter) -> dict[str, Any]:
+        """As `RunState.state_dict` at the time of the copy. Raises OSError."""
+        rank_files = rank_file_entries(self.engine, writer, kept=True)
+        return _with_particles(self.saved, rank_files, saved_particles(self.engine, kept=True))
+
+
+def _with_particles(
+    saved: dict[str, Any], rank_files: list[dict[str, Any]], particles: dict[str, Any]
+) -> dict[str, Any]:
+    """A complete state: all else, the files of other MPI ranks, and the particles of the root."""
+    return saved | {"rank_files": rank_files, "engine": saved["engine"] | particles}
+
+
+KEPT_SECONDS = 2.0
+"""Shortest wall-clock time [s] between two copies of the state."""
+
+KEPT_SHARE = 0.003
+"""Largest share of the wall-clock time that copies take."""
+
+
+class LastGoodState:
+    """The state before an abort: the device has overwritten it when a limit is exceeded.
+
+    A copy in memory is taken between two launches every KEPT_SECONDS, and less often if copies take more than
+    KEPT_SHARE of the time. The steps after it are deterministic: a run that continues from it reaches the step of the
+    abort with the same bits. A checkpoint replaces the copy.
+    """
+
+    def __init__(self, state: RunState) -> None:
+        self._state = state
+        self.kept: KeptState | None = None
+        self._next = -inf
+
+    def keep_if_due(self) -> None:
+        """Copy the present state if that is due. Raises OSError if frames cannot be written."""
+        if clock.monotonic() >= self._next:
+            began = clock.perf_counter()
+            self.kept = None
+            self.kept = self._state.kept()
+            self._wait(clock.perf_counter() - began)
+
+    def clear(self) -> None:
+        """Drop the copy: a checkpoint contains a later state, or the particles are replaced."""
+        self.kept = None
+        self._state.engine.on_each_rank(_clear_particles)
+        self._wait(0.0)
+
+    def _wait(self, seconds: float) -> None:
+        self._next = clock.monotonic() + max(KEPT_SECONDS, seconds / KEPT_SHARE)
+
+
+def _clear_particles(engine: Engine, _rank: int) -> None:
+    engine.kept_particles = None

@@ -75,12 +75,12 @@ class StageConditions:
         """Return the state for a checkpoint."""
         return {name: getattr(self, name) for name in STATE}
 
-    def load_state_dict(self, saved: Mapping[str, Any], stage: PlannedStage, same_scene: bool) -> None:
-        """Restore the state; after a change of the scene the conditions begin again."""
+    def load_state_dict(self, saved: Mapping[str, Any], stage: PlannedStage, same_course: bool) -> None:
+        """Restore the state; after a change of events or conditions they begin again."""
         for name in STATE:
             setattr(self, name, saved[name])
         self.since, self.values = list(self.since), list(self.values)
-        if not same_scene:
+        if not same_course:
             self.begin(stage, self.last_row)
 
 

@@ -88,20 +88,20 @@ class StageProgress:
         }
 
     def load_state_dict(
-        self, saved: dict[str, Any], stages: Sequence[PlannedStage], reopened: bool, same_scene: bool
+        self, saved: dict[str, Any], stages: Sequence[PlannedStage], reopened: bool, same_course: bool
     ) -> None:
         """Restore the state.
 
         stages:      of the plan
         reopened:    the last stage continues even if it had ended
-        same_scene:  False if the scene changed; the target is then determined again
+        same_course: False if events or conditions changed; the target is then determined again
         """
         self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
         self.servos.load_state_dict(saved["servos"])
         present = next(stage for stage in stages if stage.name == self.stage)
-        self.conditions.load_state_dict(saved["conditions"], present, same_scene)
+        self.conditions.load_state_dict(saved["conditions"], present, same_course)
         self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}
         if reopened:
             self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)
-        if same_scene:
+        if same_course:
             self.target, self.arrived = saved["target"], saved["arrived"]

@@ -8,15 +8,15 @@ from functools import partial
 from math import inf, isfinite
 
 from granflow.engine.engine import Engine
-from granflow.engine.limits import abort_message
-from granflow.errors import RunError, StopRun
+from granflow.engine.limits import abort_message, permitted_change
+from granflow.errors import FunctionError, RunError, StopRun
 from granflow.observers.base import TOTALS
 from granflow.plan.scene_parts import PlannedStage
 from granflow.runs.exits import log_exits
 from granflow.runs.rest import REST_CHECKS, ends_at_rest, warn_without_rest
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
-from granflow.runs.run_state import RunState
+from granflow.runs.run_state import LastGoodState, RunState
 from granflow.runs.step_batches import StepBatches
 from granflow.runs.timings import collect_result
 
@@ -32,6 +32,7 @@ class TimeLoop:
         self.state, self.files = state, files
         self.stop_requested: BaseException | None = None
         self._batches = StepBatches()
+        self.last_good = LastGoodState(state)
 
     @property
     def engine(self) -> Engine:
@@ -103,6 +104,7 @@ class TimeLoop:
             self.files.began()
             raise
         self.files.began()
+        self._keep_state()
 
     def _begin_stage(self, stage: PlannedStage) -> None:
         """Begin a stage: place its walls, insert due particles, compute the forces."""
@@ -193,29 +195,59 @@ class TimeLoop:
             raise error
 
     def _handle_requests(self) -> None:
-        """Stop if requested; write a checkpoint if due."""
+        """Stop if requested; write a checkpoint if due, and keep the state for one after an abort."""
         self._stop_if_requested()
         with self.state.wall_clock.measuring_output():
-            self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
+            if self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict):
+                self.last_good.clear()
+        self._keep_state()
+
+    def _keep_state(self) -> None:
+        """Keep the present state if that is due: a checkpoint after an abort or in lost files contains it."""
+        if self.files.path is not None:
+            with self.state.wall_clock.measuring_output():
+                self.last_good.keep_if_due()
 
     def save(self) -> None:
-        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a directory."""
+        """Write a checkpoint with the changes from Python, after the begin of the run; nothing without a directory.
+
+        After an abort, it contains the last good state.
+        """
+        if self.engine.aborted:
+            self.save_last_good()
+            return
         with suppress(StopRun):
             self._begin_run()
         self.prepare()
         with self.state.wall_clock.measuring_output():
             self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)
+        self.last_good.clear()
+
+    def save_last_good(self) -> None:
+        """Write the state that was kept last as a checkpoint, unless a checkpoint is newer. Raises OSError."""
+        if (kept := self.last_good.kept) is not None:
+            self.state.observers.sync()
+            self.files.save(kept.time, kept.step, kept.state_dict)
+            self.last_good.clear()
 
     def _abort_if_diagnosed(self) -> None:
-        """After an abort, write the state if all its numbers are finite, and raise RunError with the diagnosis."""
+        """After an abort, write the present state if all its numbers are finite, and the last good one as a checkpoint.
+
+        Raises RunError with the diagnosis and the command that continues.
+        """
         diagnosis = self.engine.diagnosis
         if diagnosis is None:
             return
         message = abort_message(diagnosis, self.engine.plan, self.engine.time)
         take = partial(self.engine.observe, self.state.progress.stage)
         with self.state.wall_clock.measuring_output():
-            written = self.state.observers.notify_all(take, frozenset({TOTALS}), only_finite=True).is_finite
-        raise RunError(message + self.files.note_on_state(written))
+            try:
+                written = self.state.observers.notify_all(take, frozenset({TOTALS}), only_finite=True).is_finite
+            except (StopRun, FunctionError):
+                written = True  # a function from Python receives the snapshot after the files
+            with suppress(OSError):
+                self.save_last_good()
+        raise RunError(message + self.files.note_on_state(written, permitted_change(diagnosis)))
 
     def notify_all(self, quantities: frozenset[str]) -> None:
         """Pass a snapshot with these quantities to all observers. Raises StopRun, FunctionError."""

@@ -17,7 +17,7 @@ from rank_launcher import alone, environment, on_ranks
 from scene_builders import box, build_scene, moving_lattice, particle_group, vibrating_box
 
 from granflow.engine.kernel_cache import KERNELS, VARIABLE
-from granflow.io.checkpoint import read_checkpoint
+from granflow.io.checkpoint import newest_checkpoint, read_checkpoint
 
 pytestmark = pytest.mark.skipif(bool(rank_launcher.MISSING), reason=rank_launcher.MISSING or "ranks can be started")
 
@@ -204,8 +204,11 @@ def test_an_abort_has_the_message_of_a_run_without_mpi(tmp_path, changes):
     two = run_on_ranks(2, "run", scene, "--mpi", "--out", tmp_path / "two")
     stopped = [[line for line in each.stderr.splitlines() if "Stopped:" in line] for each in (one, two)]
     assert len(stopped[0]) == 1
-    assert stopped[0][0].replace("one.", "two.") == stopped[1][0]
+    assert stopped[0][0].replace("/one", "/two") == stopped[1][0]
     assert one.returncode == two.returncode == 3
+    found = [newest_checkpoint(tmp_path / name) for name in ("one", "two")]
+    assert (found[0][0] is None) == (found[1][0] is None), "the last good state is a checkpoint on ranks, too"
+    assert not found[0][1] and not found[1][1]
 
 
 def test_mpirun_without_the_flag_is_refused(tmp_path):
