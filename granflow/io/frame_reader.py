@@ -7,13 +7,12 @@ from xml.etree import ElementTree
 from granflow.errors import GranflowError
 from granflow.io.pvtu import SUFFIX, pieces_in, read_pvtu
 from granflow.io.regular_files import FormatError, open_regular
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_reader import read_vtu
+from granflow.io.vtu import VtuMesh, read_vtu
 
 SAME_TIME = 1e-9
 """Relative tolerance of times for frames of particles, walls and contacts that belong together."""
 
-HEADER_SIZE, EMPTY = 1000, b'NumberOfCells="0"'
+HEADER_SIZE, EMPTY = 1000, b'NumberOfPoints="0"'
 """Text near the beginning of an empty VTU file."""
 
 

@@ -10,8 +10,7 @@ from xml.sax.saxutils import quoteattr
 from granflow.io.atomic_files import replacing, sync_all
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.pvtu import SUFFIX, Piece, write_pvtu
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import Compression, VtuMesh, write_vtu
 
 HEAD = b'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
 TAIL = b"  </Collection>\n</VTKFile>\n"
@@ -24,14 +23,20 @@ WritePieces = Callable[[Path, str], Sequence[Piece]]
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    `writer` writes them, at once by default. Numbers have at least four digits. The first frame deletes frames of an
+    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits. The first frame deletes frames of an
     earlier run in the directory: the PVD file lists exactly the files on disk. `frames`: (time [s], file name) of each
     frame.
     """
 
-    def __init__(self, directory: Path, stem: str, writer: BackgroundWriter | None = None) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        stem: str,
+        writer: BackgroundWriter | None = None,
+        compression: Compression = "zlib",
+    ) -> None:
         self.directory = Path(directory)
-        self.stem = stem
+        self.stem, self.compression = stem, compression
         self._writer = writer or BackgroundWriter()
         self.frames: list[tuple[float, str]] = []
         self.frame_count = 0
@@ -62,7 +67,7 @@ class FrameSeries:
     def _write(self, mesh: VtuMesh, time: float) -> None:
         """Write a frame and list it. Raises OSError."""
         path = self.directory / f"{self._begin()}.vtu"
-        write_vtu(path, mesh)
+        write_vtu(path, mesh, self.compression)
         self._end(path, time)
 
     def _begin(self) -> str:

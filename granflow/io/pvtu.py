@@ -11,9 +11,7 @@ import numpy as np
 
 from granflow.io.atomic_files import write_text
 from granflow.io.regular_files import FormatError, read_regular
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_reader import MAX_PIECES, read_vtu, xml_of
-from granflow.io.vtu_writer import type_name
+from granflow.io.vtu import MAX_PIECES, VtuMesh, read_vtu, xml_of
 
 SUFFIX = ".pvtu"
 
@@ -22,6 +20,9 @@ PIECE = re.compile(r"[\w-]+\.\d{4,}\.vtu")
 
 LARGEST_LISTING = 2**20
 """Largest size of a PVTU file [bytes]."""
+
+TYPE_NAMES = {"f": "Float", "i": "Int", "u": "UInt"}
+"""Beginning of the VTK type by the kind of the numpy type; the number of bits follows."""
 
 ID = "id"
 """Array by which the points of all pieces are ordered."""
@@ -43,7 +44,10 @@ class Piece:
         """The piece of a mesh with arrays of points only."""
         arrays = {"Points": mesh.points, **mesh.point_data}
         described = {
-            each: (type_name(values.dtype), values.shape[1] if values.ndim > 1 else 1)
+            each: (
+                f"{TYPE_NAMES[values.dtype.kind]}{8 * values.dtype.itemsize}",
+                values.shape[1] if values.ndim > 1 else 1,
+            )
             for each, values in arrays.items()
         }
         return cls(name, len(mesh.points), described)

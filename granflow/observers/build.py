@@ -44,9 +44,14 @@ def observers_for(
     if out_dir is not None and output.particles:
         reach = _max_coordinate(plan)
         pieces = write_pieces(reach) if write_pieces and output.frames_per_rank else None
-        observers.append(ParticleFrames(out_dir, output.interval, 0.0, writer, reach, pieces))
+        observers.append(
+            ParticleFrames(out_dir, output.interval, 0.0, writer, reach, pieces, compression=output.compression)
+        )
     if out_dir is not None and output.contacts:
-        observers.append(ContactFrames(out_dir, output.interval, writer=writer, history_units=_history_units(plan)))
+        units = _history_units(plan)
+        observers.append(
+            ContactFrames(out_dir, output.interval, writer=writer, history_units=units, compression=output.compression)
+        )
     if out_dir is not None and output.walls and plan.walls:
         triangles_of_walls, measured = _wall_triangles(plan), plan.measured_areas
         unbounded = [wall.name for wall in plan.walls if area_of(wall.shape) is None]
@@ -59,6 +64,7 @@ def observers_for(
                 measured=measured,
                 unbounded=unbounded,
                 has_belts=plan.features.surface_velocity,
+                compression=output.compression,
             )
         )
     if out_dir is not None:
@@ -119,7 +125,8 @@ def field_frames(
         width = plan.radius_max
     interval = spec.interval or plan.output.interval
     kernel = GaussianKernel(width, spec.cutoff)
-    return FieldFrames(out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer)
+    compression = plan.output.compression
+    return FieldFrames(out_dir, name, interval, grid, kernel, spec.quantities, spec.stages or (), writer, compression)
 
 
 def _max_coordinate(plan: Plan) -> float | None:

@@ -10,7 +10,7 @@ from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES, WALL_ARRAY_
 from granflow.geometry.mesh.mesh import triangle_areas
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.frames import FrameSeries, WritePieces
-from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu import Compression, VtuMesh
 from granflow.observers.base import CONTACTS, PARTICLES, WALLS
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.wall_traction import traction_and_pressure
@@ -27,17 +27,22 @@ class Frames(ScheduledObserver):
     """Base class of frames: a schedule and a series of files.
 
     Subclasses define `stem`, the start of the file names, `wants`, and `mesh`. `directory`: of the files; `interval`,
-    `start` [s]: of the frames, in simulated time; `writer`: see `FrameSeries`. Raises ValueError for an interval that
-    is not positive.
+    `start` [s]: of the frames, in simulated time; `writer`, `compression`: see `FrameSeries`. Raises ValueError for an
+    interval that is not positive.
     """
 
     stem = ""
 
     def __init__(
-        self, directory: Path, interval: float, start: float = 0.0, writer: BackgroundWriter | None = None
+        self,
+        directory: Path,
+        interval: float,
+        start: float = 0.0,
+        writer: BackgroundWriter | None = None,
+        compression: Compression = "zlib",
     ) -> None:
         super().__init__(interval, start)
-        self.series = FrameSeries(directory, self.stem, writer)
+        self.series = FrameSeries(directory, self.stem, writer, compression)
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one frame, due or not; a second snapshot of the same time has no effect."""
@@ -93,8 +98,9 @@ class ParticleFrames(Frames):
         writer: BackgroundWriter | None = None,
         reach: float | None = None,
         write_pieces: WritePieces | None = None,
+        compression: Compression = "zlib",
     ) -> None:
-        super().__init__(directory, interval, start, writer)
+        super().__init__(directory, interval, start, writer, compression)
         self._reach, self._write_pieces = reach, write_pieces
         self.wants = frozenset() if write_pieces else frozenset({PARTICLES})
 
@@ -144,8 +150,9 @@ class ContactFrames(Frames):
         start: float = 0.0,
         writer: BackgroundWriter | None = None,
         history_units: Mapping[str, str] | None = None,
+        compression: Compression = "zlib",
     ) -> None:
-        super().__init__(directory, interval, start, writer)
+        super().__init__(directory, interval, start, writer, compression)
         self._units = {**(history_units or {}), **units(CONTACT_QUANTITIES)}
 
     def mesh(self, snapshot: Snapshot) -> VtuMesh:
@@ -187,8 +194,9 @@ class WallFrames(Frames):
         measured: Mapping[str, float | None] | None = None,
         unbounded: Collection[str] = (),
         has_belts: bool = False,
+        compression: Compression = "zlib",
     ) -> None:
-        super().__init__(directory, interval, start, writer)
+        super().__init__(directory, interval, start, writer, compression)
         self._triangles, self._measured = dict(triangles), dict(measured or {})
         self._unbounded, self._has_belts = frozenset(unbounded), has_belts
         self._areas = {name: triangle_areas(*triangles[name]) for name in self._measured}

@@ -11,7 +11,7 @@ import numpy as np
 from granflow.errors import FileError, SceneError
 from granflow.io.regular_files import FormatError, read_regular_text
 from granflow.io.tables import Table, is_number, table_in
-from granflow.io.vtu_reader import read_vtu
+from granflow.io.vtu import read_vtu
 from granflow.scene.schema.units import UnitError, to_si
 
 LARGEST_FILE = 2**30

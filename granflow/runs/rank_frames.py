@@ -10,7 +10,7 @@ from granflow.engine.engine import Engine
 from granflow.engine.ranks import OneProcess
 from granflow.io.frames import WritePieces
 from granflow.io.pvtu import Piece, piece_path
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import write_vtu
 from granflow.observers.vtu import particle_mesh
 
 
@@ -36,5 +36,5 @@ def _write_piece(engine: Engine, rank: int, directory: Path, frame: str, reach: 
     if reach is None:
         reach = ranks.largest(np.abs(particles["position"]).max(initial=0.0))
     mesh, path = particle_mesh(particles, reach, radius_min), piece_path(directory, frame, rank)
-    write_vtu(path, mesh)
+    write_vtu(path, mesh, engine.plan.output.compression)
     return Piece.of(path.name, mesh)

@@ -8,7 +8,7 @@ import numpy as np
 
 from granflow.fields import CONTACT_QUANTITIES
 from granflow.io.frame_reader import frame_near, is_empty, listed_frames, read_mesh
-from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu import VtuMesh
 
 T = TypeVar("T")
 

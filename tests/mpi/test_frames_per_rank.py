@@ -14,8 +14,7 @@ from granflow.errors import SceneError
 from granflow.io.frames import FrameSeries
 from granflow.io.pvtu import Piece, piece_path, read_pvtu
 from granflow.io.regular_files import FormatError
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.particles.table import read_particles
 
 LARGEST = 2**20

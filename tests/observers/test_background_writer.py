@@ -9,7 +9,7 @@ import pytest
 from granflow.io import background_writer
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.frames import FrameSeries
-from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu import VtuMesh
 
 POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 
@@ -82,7 +82,7 @@ def test_sync_waits_for_all_frames(tmp_path, monkeypatch):
     """A checkpoint contains the list of frames after `sync`: all of them are on the disk then."""
     written, gate = [], threading.Event()
 
-    def write_slowly(path, mesh):
+    def write_slowly(path, mesh, _):
         gate.wait(0.05)
         path.touch()
         written.append(path.name)

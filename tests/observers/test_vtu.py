@@ -1,6 +1,9 @@
 """Frames contain the numbers of the snapshot, and the PVD file lists exactly the frames on disk."""
 
+import ast
 import errno
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from io import FileIO
 
@@ -10,10 +13,9 @@ import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
-from granflow.io import vtu_writer
+from granflow.io.frame_reader import is_empty
 from granflow.io.frames import TAIL, FrameSeries
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_reader import read_vtu
+from granflow.io.vtu import VtuMesh, read_vtu, write_vtu
 from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
 
 SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
@@ -59,6 +61,35 @@ def test_field_data_state_the_unit_of_each_array(tmp_path, count):
     for stem, names in stated.items():
         read = meshio.read(tmp_path / f"{stem}_0000.vtu")
         assert set(read.field_data) == set(names.split(", ")), stem
+
+
+READ_BY_PYVISTA = """
+import pyvista, sys
+for path in sys.argv[1:]:
+    mesh = pyvista.read(path)
+    values = {name: mesh[name].tolist() for name in ("id", "velocity", 'a<b&"é') if name in mesh.array_names}
+    print((mesh.n_points, mesh.n_cells, mesh.points.tolist(), values, sorted(mesh.field_data)))
+"""
+
+
+@pytest.mark.parametrize("compression", ["zlib", "none"])
+def test_meshio_writes_what_paraview_reads_with_units_and_any_name(tmp_path, compression):
+    """Names are not restricted to letters: they come from contact models of other packages."""
+    pytest.importorskip("pyvista")
+    points = np.array([[0, 0.5, 1], [2, 0, 0]], np.float32)
+    expected = []
+    for count in (2, 0):
+        arrays = {"id": np.arange(count), "velocity": points[:count], 'a<b&"é': np.ones(count, np.float32)}
+        units = {"velocity": "m/s", 'a<b&"é': "N/µm^1.5", "absent": "m"}
+        write_vtu(tmp_path / f"{count}.vtu", VtuMesh.of_points(points[:count], arrays, units), compression)
+        stated = sorted(["velocity [m/s]", 'a<b&"é [N/µm^1.5]'])
+        values = {name: array.tolist() for name, array in arrays.items()}
+        expected.append((count, max(count, 1), points[:count].tolist(), values, stated))
+    raw = (tmp_path / "2.vtu").read_bytes()
+    assert b"created by meshio" in raw and (b"vtkZLibDataCompressor" in raw) == (compression == "zlib")
+    files = [str(tmp_path / f"{count}.vtu") for count in (2, 0)]
+    done = subprocess.run([sys.executable, "-c", READ_BY_PYVISTA, *files], capture_output=True, text=True, check=True)
+    assert [ast.literal_eval(line) for line in done.stdout.splitlines()] == expected
 
 
 @pytest.mark.parametrize(("reach", "radius", "file_type"), [(1, 1e-3, "f4"), (1, 1e-4, "f8"), (1e3, 1e-1, "f8")])
@@ -113,11 +144,11 @@ def test_frame_that_cannot_be_written_leaves_the_series_unchanged(tmp_path, monk
     frames.observe(snapshot_of(time=0.0))
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
 
-    def half_of_the_file(mesh):
-        yield b"half"
+    def half_of_the_file(path, mesh, compression):
+        path.write_bytes(b"half")
         raise OSError("disk full")
 
-    monkeypatch.setattr(vtu_writer, "_parts", half_of_the_file)
+    monkeypatch.setattr(meshio.vtu, "write", half_of_the_file)
     with pytest.raises(OSError, match="disk full"):
         frames.observe(snapshot_of(time=0.1))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -128,7 +159,7 @@ POINT = VtuMesh.of_points(np.zeros((1, 3)), {})
 
 def bytes_written_per_frame(directory, monkeypatch, frame_count):
     """Bytes written to the PVD file per frame, and the series; the frames themselves are not written."""
-    monkeypatch.setattr("granflow.io.frames.write_vtu", lambda path, mesh: path.touch())
+    monkeypatch.setattr("granflow.io.frames.write_vtu", lambda path, *_: path.touch())
     written, series = [], FrameSeries(directory, "particles")
 
     class Counted(FileIO):
@@ -220,6 +251,7 @@ def test_empty_frame_is_a_valid_file_without_points(tmp_path, make, snapshot):
     assert len(mesh.points) == 0 and sum(block.data.size for block in mesh.cells) == 0
     read = read_vtu(path, 2**20)
     assert len(read.points) == 0 and not read.cells and not read.cell_data
+    assert is_empty(path)
 
 
 def test_infinite_plane_moves_along_its_normal_only(tmp_path):

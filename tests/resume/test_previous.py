@@ -132,7 +132,7 @@ def test_kill_at_any_file_operation_keeps_one_complete_run(tmp_path, event):
 def test_failure_of_the_first_frame_restores_the_previous_run(out, monkeypatch):
     scene = build_scene({"ball": particle_group([0.0, 0.0, 0.0])}, run={"duration": 1e-4}, output={"interval": 5e-5})
 
-    def raise_disk_full(path, mesh):
+    def raise_disk_full(path, mesh, _):
         assert contents(out / "previous_run") == as_bytes(OLD), "the previous run is deleted only after the first frame"
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 

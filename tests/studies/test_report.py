@@ -17,8 +17,7 @@ from granflow import read_run
 from granflow.cli.main import main
 from granflow.io.log_reader import explanation, read_log, sessions, warnings_and_errors
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.vtu import ParticleFrames
 from granflow.studies.page import environment, page_text
 from granflow.studies.render.frames import frames_of

@@ -11,8 +11,7 @@ import pytest
 from observers.snapshots import particles_of, snapshot_of
 
 from granflow import read_run
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import VtuMesh, write_vtu
 from granflow.observers.vtu import ParticleFrames
 from granflow.studies.render.frames import FrameWalls, frames_of, read_particles
 from granflow.studies.report import view as view_module

@@ -25,6 +25,11 @@ VTU = """\
 All values are in SI units, which each file states as field data (in ParaView's *Information* panel): the
 array `velocity [m/s]` contains the number 1. A file is one frame; the `.pvd` file of a series lists its frames with
 their times. Vectors have the components x, y, z; tensors xx, xy, xz, yx, yy, yz, zx, zy, zz.
+
+meshio writes the files; ParaView and `meshio.read` read them. They are compressed with zlib, unless the scene has
+`output.compression: none`: the 192 files of the scene hopper have 31 MB with zlib, written in 1.3 s (1.8 % of the
+processor time of the run), and 55 MB without, written in 0.2 s. Frames without particles, contacts or walls contain one
+cell without corners, because meshio does not read files without cells.
 """
 METRICS = """\
 # Metrics

@@ -1,4 +1,4 @@
-"""Reads the triangles of a mesh file: STL, OBJ, PLY, VTK, VTU. meshio reads text STL, PLY and VTK.
+"""Reads the triangles of a mesh file: STL, OBJ, PLY, VTK, VTU. meshio reads text STL, PLY, VTK and VTU.
 
 trimesh is not used: it accepts truncated STL and PLY files and vertices with two coordinates, splits polygons and drops
 invalid faces silently, gives no line numbers, and its import takes longer than that of meshio.
@@ -16,8 +16,7 @@ import numpy as np
 
 from granflow.geometry.mesh.obj_file import read_obj
 from granflow.io.regular_files import FormatError, read_regular
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_reader import read_vtu
+from granflow.io.vtu import VtuMesh, read_vtu, reason_of
 
 if TYPE_CHECKING:
     from meshio import Mesh
@@ -41,9 +40,6 @@ PLY_BYTES = {
     **dict.fromkeys(("double", "float64"), 8),
 }
 """Bytes of the number types of PLY."""
-
-MAX_REASON_LENGTH = 200
-"""Maximum length of a message of meshio, in characters."""
 
 IGNORED_CELLS = ("vertex", "line")
 """Cells without a surface; ignored."""
@@ -162,9 +158,7 @@ def _by_meshio(path: Path, kind: str) -> "Mesh":
             warnings.simplefilter("ignore")
             return read(path)
     except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()).partition(". ")[0].rstrip(".")[:MAX_REASON_LENGTH]
-        reason = reason or "it is damaged or has another format"
-        raise FormatError(f"cannot be read as {kind.upper()}: {reason}") from None
+        raise FormatError(f"cannot be read as {kind.upper()}: {reason_of(error)}") from None
 
 
 def _raw_triangles(mesh: "Mesh | VtuMesh") -> RawTriangles:

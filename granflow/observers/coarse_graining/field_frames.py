@@ -9,8 +9,7 @@ import numpy as np
 from granflow.fields import FIELD_QUANTITIES
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import CheckpointError
-from granflow.io.vtu_mesh import VtuMesh
-from granflow.io.vtu_writer import write_vtu
+from granflow.io.vtu import Compression, VtuMesh, write_vtu
 from granflow.observers.base import CONTACTS, PARTICLES
 from granflow.observers.coarse_graining.accumulation import CONTACT_FIELDS, AccumulatedFields, accumulate, fields_from
 from granflow.observers.coarse_graining.field_grid import CoarseGrid
@@ -37,9 +36,10 @@ class FieldFrames(Frames):
         quantities: Sequence[str] = tuple(FIELD_QUANTITIES),
         stages: Sequence[str] = (),
         writer: BackgroundWriter | None = None,
+        compression: Compression = "zlib",
     ) -> None:
         self.stem = f"fields_{name}"
-        super().__init__(directory, interval, writer=writer)
+        super().__init__(directory, interval, writer=writer, compression=compression)
         with_contacts = not set(CONTACT_FIELDS).isdisjoint(quantities)
         self.wants = frozenset({PARTICLES, CONTACTS} if with_contacts else {PARTICLES})
         self.grid, self.kernel = grid, kernel
@@ -66,7 +66,7 @@ class FieldFrames(Frames):
         """Write the mean over all frames."""
         if self._accumulated is not None:
             path = self.series.directory / f"{self.stem}_mean.vtu"
-            write_vtu(path, self._mesh_of(self._accumulated / self._count))
+            write_vtu(path, self._mesh_of(self._accumulated / self._count), self.series.compression)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the list of frames, the accumulated sums (cells, components) and the number of frames."""

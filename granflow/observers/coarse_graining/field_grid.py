@@ -7,7 +7,7 @@ import numpy as np
 
 from granflow.fields import FIELD_QUANTITIES, units
 from granflow.geometry.periodic_box import AXES
-from granflow.io.vtu_mesh import VtuMesh
+from granflow.io.vtu import VtuMesh
 from granflow.observers.coarse_graining.kernel import GaussianKernel
 from granflow.scene.schema.analysis import GridSpec
 from granflow.scene.schema.domain import Domain
