@@ -1,13 +1,15 @@
 """Reads the frames of a run: PVD files with times, and VTU files."""
 
+import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.parsers.expat import ExpatError
 
 from granflow.errors import GranflowError
 from granflow.io.pvtu import SUFFIX, pieces_in, read_pvtu
-from granflow.io.regular_files import FormatError, open_regular
-from granflow.io.vtu import VtuMesh, read_vtu
+from granflow.io.regular_files import FormatError, open_regular, read_regular
+from granflow.io.vtu import VtuMesh, read_vtu, xml_of
 
 SAME_TIME = 1e-9
 """Relative tolerance of times for frames of particles, walls and contacts that belong together."""
@@ -29,18 +31,32 @@ def require_directory(directory: Path) -> None:
 
 
 def listed_frames(directory: Path, stem: str) -> list[tuple[float, Path]]:
-    """Times [s] and existing files of a PVD file; empty if it does not exist. Raises GranflowError if it is damaged."""
+    """Times [s] and existing files of a PVD file; empty if it does not exist.
+
+    Raises GranflowError if it is damaged, or lists files other than the frames of its series in its directory.
+    """
     listing = directory / f"{stem}.pvd"
     if not listing.exists():
         return []
     try:
-        rows = ElementTree.parse(listing).iter("DataSet")
-        found = [(float(row.attrib["timestep"]), directory / row.attrib["file"]) for row in rows]
-    except (ElementTree.ParseError, KeyError, ValueError) as error:
-        raise GranflowError(
-            f"{listing} cannot be read ({error}); write it again with granflow run or resume."
-        ) from None
-    return [(time, path) for time, path in found if path.exists()]
+        rows = xml_of(read_regular(listing)).iter("DataSet")
+        found = [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
+    except KeyError as error:
+        raise _damaged_listing(listing, f"it has an entry without {error}") from None
+    except OSError as error:
+        raise _damaged_listing(listing, str(error.strerror or error)) from None
+    except (FormatError, ExpatError, ValueError) as error:
+        raise _damaged_listing(listing, str(error)) from None
+    for time, name in found:
+        if not re.fullmatch(rf"{re.escape(stem)}_\d{{4,9}}\.p?vtu", name):
+            raise _damaged_listing(listing, f"it lists {name[:80]!r}, but a frame is named like {stem}_0000.vtu")
+        if not math.isfinite(time):
+            raise _damaged_listing(listing, f"the time of {name} is {time}")
+    return [(time, directory / name) for time, name in found if (directory / name).exists()]
+
+
+def _damaged_listing(listing: Path, reason: str) -> GranflowError:
+    return GranflowError(f"{listing} cannot be read ({reason}); write it again with granflow run or resume.")
 
 
 def frame_at(series: Sequence[tuple[float, Path]], time: float) -> tuple[float, Path] | None:

@@ -23,9 +23,9 @@ WritePieces = Callable[[Path, str], Sequence[Piece]]
 class FrameSeries:
     """Writes `STEM_0000.vtu`, `STEM_0001.vtu`, ... and after each frame `STEM.pvd` with the times [s].
 
-    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits. The first frame deletes frames of an
-    earlier run in the directory: the PVD file lists exactly the files on disk. `frames`: (time [s], file name) of each
-    frame.
+    `writer` writes them, at once by default; `compression`: of the arrays. Numbers have at least four digits. The first
+    frame deletes frames of an earlier run in the directory: the PVD file lists exactly the files on disk. `frames`:
+    (time [s], file name) of each frame.
     """
 
     def __init__(

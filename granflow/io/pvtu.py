@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers.expat import ExpatError
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -80,7 +81,10 @@ def _attributes(name: str, kind: str, components: int) -> str:
 
 def pieces_in(path: Path) -> list[Path]:
     """Files of the pieces. Raises FormatError for an invalid file, OSError if it cannot be read."""
-    root: ElementTree.Element = xml_of(read_regular(path, LARGEST_LISTING))
+    try:
+        root: ElementTree.Element = xml_of(read_regular(path, LARGEST_LISTING))
+    except ExpatError as error:
+        raise FormatError(f"is not XML: {error}") from None
     names = [str(piece.attrib.get("Source")) for piece in root.findall("./PUnstructuredGrid/Piece")]
     if root.attrib.get("type") != "PUnstructuredGrid" or not 1 <= len(names) <= MAX_PIECES:
         raise FormatError("is not a PVTU file with pieces")

@@ -171,7 +171,10 @@ def read_vtu(path: Path, largest: int) -> VtuMesh:
     Returns:  points (n, 3), cells by type, and arrays of points and cells, with those of one component as (n,)
     Raises:   FormatError for an invalid or unsupported file, OSError if the file cannot be read
     """
-    size = _checked_size(read_regular(path, LARGEST_FILE), largest)
+    try:
+        size = _checked_size(read_regular(path, LARGEST_FILE), largest)
+    except expat.ExpatError as error:
+        raise FormatError(f"cannot be read as VTU: it is not XML: {error}") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy stops at the first invalid number; the length is then wrong
@@ -275,13 +278,13 @@ def _split_appended_data(raw: bytes) -> tuple[bytes, bytes]:
 def xml_of(text: bytes) -> ElementTree.Element:
     """XML elements without their text.
 
-    Raises FormatError for a document type, before any entity expands, and for deep nesting.
+    Raises FormatError for a document type, before any entity expands, and for deep nesting; ExpatError for other text.
     """
     builder, depth = ElementTree.TreeBuilder(), 0
     parser = expat.ParserCreate()
 
     def refuse(*_: object) -> None:
-        raise FormatError("declares a document type or entities, which VTU files must not contain")
+        raise FormatError("declares a document type or entities, which files of VTK do not contain")
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
@@ -297,10 +300,7 @@ def xml_of(text: bytes) -> ElementTree.Element:
 
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        raise FormatError(f"cannot be read as VTU: it is not XML: {error}") from None
+    parser.Parse(text, True)
     return builder.close()
 
 

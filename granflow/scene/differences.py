@@ -11,7 +11,8 @@ from granflow.scene.schema.scene import SceneInput
 
 ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "title, description and expectations",
-    r"output\.((timeseries_)?interval|particles|frames_per_rank|compression|contacts|walls)": "selection and interval of output",
+    r"output\.((timeseries_)?interval|particles|contacts|walls)": "selection and interval of output",
+    r"output\.(frames_per_rank|compression)": "files of frames",
     r"output\.checkpoint\..*": "interval and number of checkpoints",
     r"run\.duration|stages\.\d+\.(duration|kinetic_energy_below|(min|max)_duration|until.*)": "end of run or stage",
     r"walls\.\w+(\.\w+)?\.(stages|appears_at|vanishes_at)": "presence of a wall, such as opening a gate",
