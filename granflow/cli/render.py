@@ -4,9 +4,12 @@ The frames of the run are read; nothing is simulated. Requires the extra `plot`.
 """
 
 import argparse
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import partial
+from math import isfinite
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -25,8 +28,11 @@ if TYPE_CHECKING:
 FITS = ("all", "particles", "domain")
 """Values of --fit."""
 
-SMALLEST = 200
-"""Smallest width and height of an image [pixels]."""
+SMALLEST, LARGEST, MOST_PIXELS = 200, 10_000, 50_000_000
+"""Smallest and largest width and height of an image [pixels], and most pixels: 2.4 GB of memory, half a minute."""
+
+ZOOMS, RATES = (0.01, 1000.0), (0.01, 1000.0)
+"""Smallest and largest magnification, and frames per second of an animation."""
 
 PROGRESS_INTERVAL, FIRST_REPORT = 5.0, 3
 """Shortest time [s] between two reports of the progress of an animation, and the frame after the first of them."""
@@ -110,14 +116,16 @@ def with_progress(pictures: "Iterator[np.ndarray]", count: int, stop: Event) -> 
 def pixel_size(text: str) -> tuple[int, int]:
     """Convert --size, such as 1600x1200, for argparse: width and height [pixels], rounded down to even numbers.
 
-    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST.
+    Video codecs require even numbers. Raises ArgumentTypeError below SMALLEST, and above LARGEST or MOST_PIXELS.
     """
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()) or min(int(width), int(height)) < SMALLEST:
+    words = re.fullmatch(r"([0-9]{1,9})x([0-9]{1,9})", text)
+    width, height = (int(word) for word in words.groups()) if words else (0, 0)
+    if not (SMALLEST <= min(width, height) and max(width, height) <= LARGEST and width * height <= MOST_PIXELS):
         raise argparse.ArgumentTypeError(
-            f"{text} is not a valid size; give width and height in pixels, each at least {SMALLEST}, such as 1600x1200"
+            f"{text[:40]} is not a valid size; give width and height in pixels, from {SMALLEST} to {LARGEST}, and "
+            f"at most {MOST_PIXELS // 10**6} million pixels in total, such as 1600x1200"
         )
-    return int(width) // 2 * 2, int(height) // 2 * 2
+    return width // 2 * 2, height // 2 * 2
 
 
 def number_pair(text: str) -> tuple[float, float]:
@@ -126,21 +134,21 @@ def number_pair(text: str) -> tuple[float, float]:
         low, high = (float(word) for word in text.split(","))
     except ValueError:
         low, high = 0.0, 0.0
-    if not low < high:
+    if not (low < high and isfinite(high - low)):
         raise argparse.ArgumentTypeError(
             f"{text} is not a range; give two numbers in SI units, the smaller one first, such as 0,1.5"
         )
     return low, high
 
 
-def positive(text: str) -> float:
-    """Convert a positive, finite number for argparse. Raises ArgumentTypeError."""
+def number_from(limits: tuple[float, float], text: str) -> float:
+    """Convert a number between two positive limits for argparse. Raises ArgumentTypeError."""
     try:
         number = float(text)
     except ValueError:
         number = 0.0
-    if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    if not limits[0] <= number <= limits[1]:
+        raise argparse.ArgumentTypeError(f"{text[:40]} is not a number from {limits[0]:g} to {limits[1]:g}, such as 2")
     return number
 
 
@@ -160,16 +168,29 @@ def add_render(verbs: Any) -> None:
     add("directory", metavar="DIR", type=Path, help="directory of the run, such as out/hopper")
     add("--frame", default="last", metavar="F", help=FRAME)
     add("--film", action="store_true", help="write an animation (MP4) of all frames instead")
-    add("--fps", type=positive, default=25.0, metavar="N", help="frames per second of the animation (default: 25)")
+    add(
+        "--fps",
+        type=partial(number_from, RATES),
+        default=25.0,
+        metavar="N",
+        help="frames per second of the animation (default: 25)",
+    )
     add("--color", default="velocity", metavar="NAME", help=COLOR)
     limits = "limits of the color scale in SI units (default: from the frames)"
     add("--range", type=number_pair, metavar="LOW,HIGH", dest="limits", help=limits)
     add("--chains", action="store_true", help="draw contacts as tubes whose thickness and color show the normal force")
     add("--view", default="iso", metavar="V", help=VIEW)
-    add("--zoom", type=positive, default=1.0, metavar="X", help="magnification (default: 1)")
+    add(
+        "--zoom",
+        type=partial(number_from, ZOOMS),
+        default=1.0,
+        metavar="X",
+        help="magnification, 0.01 to 1000 (default: 1)",
+    )
     visible = "visible part: particles and walls (all), particles, or domain (default: all)"
     add("--fit", choices=FITS, default="all", help=visible)
     add("--cut", action="store_true", help="omit the front half")
-    size = f"width and height in pixels, each at least {SMALLEST} (default: 1200 high, a film 900; width from the view)"
+    limits = f"from {SMALLEST} to {LARGEST}"
+    size = f"width and height in pixels, {limits} (default: 1200 high, a film 900; width from the view)"
     add("--size", type=pixel_size, metavar="WxH", help=size)
     add("--out", metavar="FILE", type=Path, help="output file (default: in DIR/pictures)")

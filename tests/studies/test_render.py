@@ -164,7 +164,12 @@ def test_one_output_file_requires_one_frame(run, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--size", "1600"], ["--size", "9x9"], ["--range", "2,1"], ["--range", "fast"], ["--zoom", "0"], ["--fps", "-1"]],
+    [
+        *(["--size", text] for text in ("1600", "9x9", "100000x100000", "10001x300", "9000x9000", "9" * 5000 + "x9")),
+        *([f"--range={text}"] for text in ("2,1", "fast", "0,inf", "-1e308,1e308")),
+        *(["--zoom", text] for text in ("0", "1e300", "1e-300", "nan")),
+        *(["--fps", text] for text in ("-1", "1e300", "1e-300")),
+    ],
 )
 def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, capsys):
     with pytest.raises(SystemExit):
@@ -172,13 +177,54 @@ def test_invalid_arguments_are_rejected_with_the_expected_form(run, arguments, c
     assert "is not a " in capsys.readouterr().err
 
 
+def test_view_of_any_length_is_its_direction(run):
+    """The squares of these numbers overflow or underflow."""
+    for text in ("1e300,-2e300,0", "1e-300,-2e-300,0", "5e-324,-1e-323,0"):
+        np.testing.assert_allclose(view_of(text).toward, np.array([1, -2, 0]) / np.sqrt(5), rtol=1e-15)
+
+
+def test_frame_number_of_any_length_is_rejected(run):
+    with pytest.raises(GranflowError, match="no such frame"):
+        selected_frames(frames_of(run), "9" * 5000)
+    assert selected_frames(frames_of(run), "0003")[0].number == 3
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["particles_x.vtu", "mine.vtu", "../a/particles_0001.vtu", "/particles_0001.vtu", "walls_0000.vtu", "", "a\\b"],
+)
+@pytest.mark.parametrize("verb", ["report", "render"])
+def test_listed_file_that_is_no_frame_of_the_run_is_rejected(run, name, verb, capsys):
+    """A name without a number ended in a traceback, and files outside the directory were read."""
+    listing = (run / "particles.pvd").read_text()
+    (run / "particles.pvd").write_text(listing.replace("particles_0002.vtu", name))
+    assert main([verb, str(run)]) == 2
+    assert "particles.pvd cannot be read (it lists " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('timestep="0.5"', 'timestep="nan"', "the time of particles_0002.vtu is nan"),
+        ('timestep="0.5"', 'time="0.5"', "an entry without 'timestep'"),
+        ("<VTKFile", "<!DOCTYPE a><VTKFile", "declares a document type"),
+        ("</Collection>", "", "mismatched tag"),
+    ],
+)
+def test_damaged_list_of_frames_is_rejected(run, before, after, message):
+    listing = (run / "particles.pvd").read_text()
+    (run / "particles.pvd").write_text(listing.replace(before, after))
+    with pytest.raises(GranflowError, match=message):
+        frames_of(run)
+
+
 def test_message_and_help_of_size_state_the_minimum(run, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run), "--size", "160x120"])
-    assert "160x120 is not a valid size; give width and height in pixels, each at least 200" in capsys.readouterr().err
+    assert "160x120 is not a valid size; give width and height in pixels, from 200 to 10000" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["render", "--help"])
-    assert "each at least 200" in " ".join(capsys.readouterr().out.split())
+    assert "from 200 to 10000" in " ".join(capsys.readouterr().out.split())
 
 
 def test_missing_plot_extra_is_reported_with_the_install_command(run, capsys, monkeypatch):

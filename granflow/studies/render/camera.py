@@ -119,7 +119,7 @@ def _direction(text: str) -> np.ndarray:
         raise GranflowError(
             f"--view {text}: give {', '.join(VIEWS)}, or the direction to the viewer, such as --view=1,-2,0.8."
         )
-    return numbers
+    return numbers / np.abs(numbers).max()  # the squares of numbers such as 1e300 and 1e-300 are out of range
 
 
 def _upright(toward: np.ndarray, up: np.ndarray, into: np.ndarray) -> View:

@@ -119,7 +119,7 @@ def _one(frames: Sequence[Frame], word: str) -> Frame:
     if word in ("last", "first"):
         return frames[-1 if word == "last" else 0]
     if word.isdecimal():
-        found = [frame for frame in frames if frame.number == int(word)]
+        found = [frame for frame in frames if str(frame.number) == (word.lstrip("0") or "0")]
         if not found:
             numbers = f"{frames[0].number} to {frames[-1].number}"
             raise GranflowError(

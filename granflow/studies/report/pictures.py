@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from granflow.errors import GranflowError
-from granflow.io.frame_reader import is_empty
+from granflow.io.frame_reader import is_empty, listed_frames
 from granflow.studies.render.camera import VIEWS
 from granflow.studies.render.frames import Frame, frames_of
 from granflow.studies.render.render import PictureStyle, picture_path
@@ -69,12 +68,11 @@ def pictures_for(directory: Path, scratch: Path) -> RunPictures:
     """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
 
     First those of the course of the run, rendered if they are not newer than its last frame; then at most MOST_PICTURES
-    others and one film of at most FILM_BYTES.
+    others and one film of at most FILM_BYTES. Raises GranflowError if the list of frames is damaged.
     """
-    try:
-        frames = frames_of(directory)
-    except GranflowError:
+    if not listed_frames(directory, "particles"):
         return RunPictures((), "The run has no frames to render.")
+    frames = frames_of(directory)
     course = course_pictures(directory, frames)
     problem = render(directory, course, recent_pictures(directory, frames))
     found = recent_pictures(directory, frames)

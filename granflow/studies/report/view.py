@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from granflow import Run, Scene
-from granflow.errors import GranflowError
+from granflow.io.frame_reader import listed_frames
 from granflow.studies.figures import COLORS
 from granflow.studies.render.bounding_points import (
     bounding_points,
@@ -91,10 +91,9 @@ class Grid(NamedTuple):
 
 def interactive_view(record: Run) -> View | None:
     """The 3D view of a run; None if it has no frames with particles. Raises GranflowError if a file cannot be read."""
-    try:
-        filled = filled_frames(frames_of(record.directory))
-    except GranflowError:
+    if not listed_frames(record.directory, "particles"):
         return None
+    filled = filled_frames(frames_of(record.directory))
     largest = max(filled, key=lambda frame: frame.particles.stat().st_size)
     count = len(read_particles(largest).radius)
     if not count:
