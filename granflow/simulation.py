@@ -251,6 +251,7 @@ class Simulation:
         particles:  at the present time
         time_step:  of all further steps [s]; default: the present one
         """
+        self._loop.last_good.clear()
         self.engine.restart(particles, time_step)
 
     def request_stop(self, error: BaseException) -> None:
@@ -295,6 +296,6 @@ class Simulation:
             ("particles", readable(len(self.particles))),
             ("walls", ", ".join(present) or "none"),
             ("forces", ", ".join(force.name for force in self.forces) or "none"),
-            ("files", str(self.files.path or "none")),
+            ("files", str(self.files.shown or "none")),
         ]
         return html_table(self.plan.title, rows)

@@ -1,6 +1,7 @@
 """Atomic file writes: under a temporary name in the directory of the target, then renamed."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,14 +25,41 @@ def replacing(path: Path, durable: bool = False) -> Iterator[Path]:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}{PART}")
     try:
-        yield temporary
-        if durable:
-            sync(temporary)
-        os.replace(temporary, path)
-        if durable:
-            sync(path.parent)
+        with named_errors(path, temporary):
+            yield temporary
+            if durable:
+                sync(temporary)
+            os.replace(temporary, path)
+            if durable:
+                sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def named_errors(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """In the block, an OSError without a file, or about the temporary one, is about `path`: a full disk names none."""
+    try:
+        yield
+    except OSError as error:
+        is_unnamed = error.filename is None and error.errno is not None
+        if is_unnamed or (temporary is not None and str(error.filename) == str(temporary)):
+            error.filename, error.filename2 = str(path), None
+        raise
+
+
+def separate_from_links(path: Path) -> None:
+    """Replace a symbolic link, or a file with further hard links, by a copy: a run changes only its own files.
+
+    A link to something that is not a regular file is removed. Raises OSError.
+    """
+    if not path.is_symlink() and not (path.is_file() and path.stat().st_nlink > 1):
+        return
+    if not path.is_file():
+        path.unlink()
+        return
+    with replacing(path) as temporary:
+        shutil.copyfile(path, temporary)
 
 
 def write_text(path: Path, text: str) -> None:

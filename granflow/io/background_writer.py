@@ -15,6 +15,8 @@ class BackgroundWriter:
     An exception of a task ends the thread, and is raised in the main thread by the next call of `submit`, `wait` or
     `check`. The failed task and those behind it stay in the queue, and `wait` tries them again in the main thread: a
     checkpoint, which waits, never claims a file that is not written.
+
+    `guard`: called before each task; raises an exception if files can no longer be written where they belong.
     """
 
     def __init__(self) -> None:
@@ -22,6 +24,7 @@ class BackgroundWriter:
         self._changed = Condition()
         self._error: BaseException | None = None
         self._works, self._is_closing = False, False
+        self.guard: Callable[[], None] = lambda: None
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -49,6 +52,7 @@ class BackgroundWriter:
                 self._changed.notify_all()
                 return
         self.wait()
+        self.guard()
         task()
 
     def wait(self) -> None:
@@ -57,6 +61,7 @@ class BackgroundWriter:
             self._changed.wait_for(lambda: not self._tasks or not self._works)
         self.check()
         while self._tasks:
+            self.guard()
             self._tasks[0]()
             self._tasks.popleft()
 
@@ -75,6 +80,7 @@ class BackgroundWriter:
                     return
                 task = self._tasks[0]
             try:
+                self.guard()
                 task()
             except BaseException as error:  # raised again in the main thread
                 with self._changed:

@@ -7,7 +7,7 @@ from io import FileIO
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from granflow.io.atomic_files import replacing, sync_all
+from granflow.io.atomic_files import named_errors, replacing, sync_all
 from granflow.io.background_writer import BackgroundWriter
 from granflow.io.pvtu import SUFFIX, Piece, write_pvtu
 from granflow.io.vtu import Compression, VtuMesh, write_vtu
@@ -57,6 +57,7 @@ class FrameSeries:
         Waits for the frames before it. Raises OSError; the PVD file then lists the earlier frames.
         """
         self._writer.wait()
+        self._writer.guard()
         frame = self._begin()
         pieces = write(self.directory, frame)
         path = self.directory / f"{frame}{SUFFIX}"
@@ -91,7 +92,7 @@ class FrameSeries:
     def _list(self, frame: tuple[float, str]) -> None:
         """Add a frame to the PVD file in place, or rewrite the file if it has changed since the last write."""
         entry = _entry(*frame)
-        size = self.listing.stat().st_size if self.listing.exists() else 0
+        size = self.listing.lstat().st_size if self.listing.is_file() and not self.listing.is_symlink() else 0
         if size and size == self._listing_size:
             _insert_before_tail(self.listing, size, entry)
             self._listing_size += len(entry)
@@ -146,7 +147,7 @@ def _insert_before_tail(path: Path, size: int, entry: bytes) -> None:
     If the disk is full, the previous closing tags are restored.
     """
     start = size - len(TAIL)
-    with FileIO(path, "r+") as file:
+    with named_errors(path), FileIO(path, "r+") as file:
         try:
             _write_at(file, start, entry + TAIL)
         except OSError:

@@ -8,7 +8,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
-from granflow.io.atomic_files import write_text
+from granflow.io.atomic_files import separate_from_links, write_text
 from granflow.kernel_language import KERNELS
 from granflow.visible_text import VisibleFormatter
 
@@ -106,6 +106,7 @@ class _LogFile(logging.FileHandler):
 def _file_handler(directory: Path, mode: str) -> logging.FileHandler:
     """Return a handler that writes to `run.log`; control characters in messages are shown as escapes."""
     directory.mkdir(parents=True, exist_ok=True)
+    separate_from_links(directory / "run.log")
     handler = _LogFile(directory / "run.log", mode=mode, encoding="utf-8")
     handler.setFormatter(VisibleFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     return handler

@@ -6,6 +6,8 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from granflow.io.atomic_files import named_errors, separate_from_links
+from granflow.io.lock import LostFiles, identity_of
 from granflow.io.tables import csv_line
 
 
@@ -26,14 +28,37 @@ class RowFile:
         return not self._size and not self._unwritten
 
     def write(self, row: Sequence[Any]) -> None:
-        """Write one row and flush it; bytes that could not be written are kept for the next call. Raises OSError."""
+        """Write one row and flush it; bytes that could not be written are kept for the next call.
+
+        Raises LostFiles if another program has moved, deleted, replaced or changed the file, OSError if it cannot be
+        written.
+        """
         self._unwritten += csv_line(row).encode()
         if self._file is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            separate_from_links(self.path)
             self._file = FileIO(self.path, "a" if self._size else "w")
-        while self._unwritten:
-            written = self._file.write(self._unwritten)
-            self._size, self._unwritten = self._size + written, self._unwritten[written:]
+        self.check()
+        with named_errors(self.path):
+            while self._unwritten:
+                written = self._file.write(self._unwritten)
+                self._size, self._unwritten = self._size + written, self._unwritten[written:]
+
+    def check(self) -> None:
+        """Raise LostFiles if the path leads to another file than the open one, or if that has another size."""
+        if self._file is None:
+            return
+        try:
+            found = os.stat(self.path)
+        except OSError:
+            raise LostFiles(self.path, "it was moved or deleted during the run") from None
+        own = os.fstat(self._file.fileno())
+        if identity_of(found) != identity_of(own):
+            raise LostFiles(self.path, "another file has replaced it during the run")
+        if own.st_size != self._size:
+            raise LostFiles(
+                self.path, f"another program has changed it: it has {own.st_size} bytes, and the run wrote {self._size}"
+            )
 
     def close(self) -> None:
         """Close the file; a further row opens it again."""
@@ -64,8 +89,9 @@ class RowFile:
         if self._size:
             self._size = min(self._size, self._present_size())
             if self._size:
+                separate_from_links(self.path)
                 os.truncate(self.path, self._size)
 
     def _present_size(self) -> int:
         """Size of the file [bytes]."""
-        return self.path.stat().st_size if self.path.exists() else 0
+        return self.path.stat().st_size if self.path.is_file() else 0

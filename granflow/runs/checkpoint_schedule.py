@@ -24,7 +24,7 @@ class CheckpointWriter:
     """
 
     def __init__(self, directory: Path, settings: Checkpoints, scene_text: str) -> None:
-        self._directory, self._settings, self._scene_text = directory, settings, scene_text
+        self.directory, self._settings, self._scene_text = directory, settings, scene_text
         self._schedule = Schedule(settings.interval) if settings.interval else None
         self._written_at = clock.monotonic()
         self.last_time: float | None = None
@@ -49,8 +49,8 @@ class CheckpointWriter:
         `time` [s], `step`: of the state, as in `write_checkpoint`. Raises OSError if a file cannot be written.
         """
         self.start(time)
-        writer = RankFileWriter.of(self._directory, step)
-        write_checkpoint(self._directory, self._scene_text, time, step, state(writer))
+        writer = RankFileWriter.of(self.directory, step)
+        write_checkpoint(self.directory, self._scene_text, time, step, state(writer))
         writer.remove_replaced()
-        remove_old_checkpoints(self._directory, self._settings.keep)
+        remove_old_checkpoints(self.directory, self._settings.keep)
         self.last_time = time

@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from filecmp import cmp
 from pathlib import Path
 
@@ -17,13 +17,13 @@ RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.c
 """Names of result files: a particle file with such a name is not copied, because the run writes its own."""
 
 
-def copy_inputs(directory: Path, scene: Scene) -> None:
+def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
     """Copy meshes, tables of motions and particle files to the paths that the resolved scene in the directory contains.
 
     A different file at that path is not overwritten: `.before` is appended to its name. Subdirectories are created.
-    Raises OSError if a file cannot be copied.
+    `inputs`: as from `inputs_of`. Raises OSError if a file cannot be copied.
     """
-    for source, name in _inputs(scene):
+    for source, name in inputs:
         target = Path(directory) / name
         if target.exists() and (source == resolved(target) or cmp(source, target, shallow=False)):
             continue
@@ -43,8 +43,11 @@ def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
     return ((key, scene.folder / name) for key, name in scene.input_names())
 
 
-def _inputs(scene: Scene) -> Iterator[tuple[Path, str]]:
-    """Yield the files and their names in the scene, except tables that a continued run no longer has."""
+def inputs_of(scene: Scene) -> Iterator[tuple[Path, str]]:
+    """Yield the absolute paths of the input files and their names in the scene.
+
+    Tables that a continued run no longer has are left out.
+    """
     for wall in scene.walls.values():
         if isinstance(wall, MeshWall):
             yield mesh_path(scene, wall), wall.file

@@ -160,7 +160,7 @@ class LastGoodState:
 
     A copy in memory is taken between two launches every KEPT_SECONDS, and less often if copies take more than
     KEPT_SHARE of the time. The steps after it are deterministic: a run that continues from it reaches the step of the
-    abort with the same bits. A checkpoint replaces the copy.
+    abort with the same bits.
     """
 
     def __init__(self, state: RunState) -> None:
@@ -177,7 +177,7 @@ class LastGoodState:
             self._wait(clock.perf_counter() - began)
 
     def clear(self) -> None:
-        """Drop the copy: a checkpoint contains a later state, or the particles are replaced."""
+        """Drop the copy: the particles are replaced."""
         self.kept = None
         self._state.engine.on_each_rank(_clear_particles)
         self._wait(0.0)

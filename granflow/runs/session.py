@@ -53,7 +53,7 @@ class RunSession:
             raise failure from error.__cause__
         except OSError as error:
             save = self._loop.save if self._state.progress.target is not None else None
-            output_error = self._files.output_error(error, self._loop.engine.time, save)
+            output_error = self._files.output_error(error, self._loop.engine.time, save, self._loop.save_kept)
             self._abandon()
             raise output_error from error
         except BaseException:
@@ -66,14 +66,14 @@ class RunSession:
             return
         if self._has_ended and self._files.path is not None:
             raise GranflowError(self._reason_of_end())
-        self.is_open = True
         self._open.enter_context(self._files.open(self._state.observers.checkpointed().values()))
+        self.is_open = True
         self._open.callback(self._state.observers.finish)
         self._files.start_schedule(self._loop.engine.time)
 
     def _reason_of_end(self) -> str:
         """Why files cannot be written any more, and the remedy."""
-        path, saved = self._files.path, self._files.checkpoint_time
+        path, saved = self._files.shown, self._files.checkpoint_time
         if self._failure is None:
             return (
                 f"The files in {path} are finished: put all runs of the simulation into one with block, or resume from "
@@ -87,7 +87,7 @@ class RunSession:
         if self._files.path is None or not self._state.progress.stage_times:
             return error
         self._loop.save()
-        return FunctionError(f"{str(error).rstrip('.')}. The state at this time is saved in {self._files.path}.")
+        return FunctionError(f"{str(error).rstrip('.')}. The state at this time is saved in {self._files.shown}.")
 
     def _abandon(self) -> None:
         """During the handling of an exception, close the files as they are."""

@@ -198,8 +198,7 @@ class TimeLoop:
         """Stop if requested; write a checkpoint if due, and keep the state for one after an abort."""
         self._stop_if_requested()
         with self.state.wall_clock.measuring_output():
-            if self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict):
-                self.last_good.clear()
+            self.files.save_if_due(self.engine.time, self.engine.step_count, self.state.state_dict)
         self._keep_state()
 
     def _keep_state(self) -> None:
@@ -221,14 +220,17 @@ class TimeLoop:
         self.prepare()
         with self.state.wall_clock.measuring_output():
             self.files.save(self.engine.time, self.engine.step_count, self.state.state_dict)
-        self.last_good.clear()
 
     def save_last_good(self) -> None:
         """Write the state that was kept last as a checkpoint, unless a checkpoint is newer. Raises OSError."""
-        if (kept := self.last_good.kept) is not None:
-            self.state.observers.sync()
+        self.state.observers.sync()
+        self.save_kept(self.files.checkpoint_time)
+
+    def save_kept(self, after: float | None) -> None:
+        """Write the state that was kept last as a checkpoint, if it is later than a time [s]. Raises OSError."""
+        kept = self.last_good.kept
+        if kept is not None and (after is None or kept.time > after):
             self.files.save(kept.time, kept.step, kept.state_dict)
-            self.last_good.clear()
 
     def _abort_if_diagnosed(self) -> None:
         """After an abort, write the present state if all its numbers are finite, and the last good one as a checkpoint.
