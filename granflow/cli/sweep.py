@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from granflow.cli.arguments import ARCHITECTURES, add_out, add_verb, count, thread_count
-from granflow.cli.messages import exit_code_of, print_error, say, show_table
+from granflow.cli.messages import exit_code_of, print_error, say, say_progress, show_table
 from granflow.cli.signals import deferred_to_event
 
 if TYPE_CHECKING:
@@ -22,12 +22,15 @@ def sweep(options: argparse.Namespace) -> int:
     Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop signal; the
     same command then continues the sweep.
     """
-    from granflow.studies.sweep.run import read_sweep, run_sweep
+    from granflow.studies.sweep.run import SweepStopped, read_sweep, run_sweep
 
     study = read_sweep(options.file)
     out = options.out or Path("out") / study.name
     with deferred_to_event() as (stop, signals):
-        table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run)
+        try:
+            table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run, say_progress)
+        except SweepStopped as error:
+            return print_error(str(error), exit_code_of(signals[0]))
     if signals:
         remedy = "repeating the command continues it"
         return print_error(

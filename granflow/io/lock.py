@@ -6,6 +6,7 @@ it falls back to a lock file that remains when a process is killed.
 
 import errno
 import os
+import platform
 import sys
 import threading
 from collections.abc import Iterator
@@ -116,6 +117,31 @@ _WRITING: dict[Identity, Path] = {}
 """Directories into which a run of this process writes; the same thread can have several runs."""
 
 
+def _record_holder(descriptor: int) -> None:
+    """Write the number of this process and the name of this machine into the lock file; a full disk does not matter.
+
+    A hard link to another file is not written.
+    """
+    with suppress(OSError):
+        if os.fstat(descriptor).st_nlink > 1:
+            return
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"process {os.getpid()} on {platform.node()}".encode())
+
+
+def holder_of(directory: Path) -> str:
+    """Who has locked a directory, such as `process 1234 on node7`; empty if it is free or does not exist."""
+    if not (directory / LOCK).exists():
+        return ""
+    try:
+        with locked(directory):
+            return ""
+    except GranflowError:
+        with suppress(OSError):
+            return (directory / LOCK).read_text(encoding="utf-8", errors="replace") or "another process"
+        return "another process"
+
+
 @contextmanager
 def locked(directory: Path) -> Iterator[DirectoryLock]:
     """Create the directory if necessary and lock it.
@@ -141,6 +167,7 @@ def locked(directory: Path) -> Iterator[DirectoryLock]:
     except BaseException:
         os.close(descriptor)
         raise
+    _record_holder(descriptor)
     lock = DirectoryLock(Path(os.path.abspath(directory)), descriptor)
     _HELD[key] = lock
     try:

@@ -143,7 +143,11 @@ class Run:
     @property
     def result(self) -> Result | None:
         """The numbers of the completed run; None if the run is not complete (see `status`)."""
-        return result_of(self.result_sections) if self.result_sections else None
+        try:
+            return result_of(self.result_sections) if self.result_sections else None
+        except (AttributeError, KeyError, TypeError):
+            path = self.directory / "result.json"
+            raise GranflowError(f"{path} is damaged: a section is missing or of another type; run again.") from None
 
     @cached_property
     def series(self) -> TimeSeriesTable | None:

@@ -147,6 +147,9 @@ def result_of(sections: Mapping[str, Any]) -> Result:
 
 
 def _numbers(readings: Mapping[str, float | None]) -> dict[str, float]:
+    """The numbers of a section. Raises AttributeError or TypeError for a section that is none."""
+    if not all(number is None or isinstance(number, int | float) for number in readings.values()):
+        raise TypeError("a reading is not a number")
     return {name: math.nan if number is None else number for name, number in readings.items()}
 
 

@@ -1,6 +1,8 @@
 """Calibration without runs: messages, targets, and the response of residuals with known parameters."""
 
+import errno
 import json
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 from studies.sweep_files import SCENE
 
-from granflow.errors import FileError, GranflowError
+from granflow.errors import FileError, GranflowError, OutputError
 from granflow.studies.calibration.response import fit_response
 from granflow.studies.calibration.results import _best_target, result_of
 from granflow.studies.calibration.run import read_calibration, run_calibration
@@ -123,6 +125,59 @@ def test_trials_with_another_content_of_a_scene_or_a_curve_are_refused(tmp_path,
     path.write_text(changed)
     with pytest.raises(GranflowError, match=words):
         (found or runner(tmp_path, CURVE)).check()
+
+
+def finished_trial(search, loss):
+    trial = search.next_trial()
+    trial.set_user_attr("residuals", {"energy": [loss]})
+    search.study.tell(trial, loss)
+    return trial
+
+
+def test_a_line_that_a_full_disk_cuts_off_is_dropped(tmp_path, monkeypatch):
+    """The write of the loss of the second trial stops after half a line; the trial is repeated."""
+    search = runner(tmp_path).search
+    finished_trial(search, 4.0)
+    lost = search.next_trial()
+    path = tmp_path / JOURNAL
+    content = path.read_bytes()
+    monkeypatch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
+    with pytest.raises(OSError, match="No space left"):
+        search.study.tell(lost, 1.0)
+    monkeypatch.undo()
+    assert path.read_bytes().startswith(content)
+    path.write_bytes(content + b'{"op_code":6,"worker_i')
+    finished_trial(search, 3.0)  # the same process writes on
+    again = runner(tmp_path).search  # and another one
+    assert [trial.value for trial in again.completed()] == [4.0, 3.0]
+
+
+def full_disk(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("damage", [b'{"op_code":6,"wor', b"\0\0\0", b"{}\n", b"5\n", b'{"op_code":6\n'])
+def test_a_journal_with_a_damaged_line_is_read_without_it(tmp_path, damage):
+    """Earlier programs wrote the next operation behind half a line."""
+    search = runner(tmp_path).search
+    finished_trial(search, 4.0)
+    path = tmp_path / JOURNAL
+    middle = path.read_bytes()
+    finished_trial(search, 3.0)
+    path.write_bytes(middle + damage + path.read_bytes()[len(middle) :])
+    assert [trial.value for trial in runner(tmp_path).search.completed()] == [4.0, 3.0]
+
+
+def test_a_full_disk_ends_a_calibration_with_one_sentence(tmp_path, monkeypatch):
+    pytest.importorskip("optuna")
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    study = read_calibration(written(tmp_path))
+    monkeypatch.setattr("granflow.studies.calibration.search.os.fsync", full_disk)
+    with pytest.raises(OutputError, match=r"out cannot be written or read: No space left on device. The trials that"):
+        run_calibration(study, tmp_path / "out", jobs=1)
+    monkeypatch.undo()
+    monkeypatch.setattr(run_worker, "PROGRAM", (sys.executable, "-S", str(Path(__file__).with_name("stand_in.py"))))
+    assert run_calibration(study, tmp_path / "out", jobs=1) is not None
 
 
 def test_calibration_ends_when_its_scene_changes(tmp_path, monkeypatch):

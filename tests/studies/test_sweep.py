@@ -70,6 +70,29 @@ def test_invalid_parameters_are_refused(tmp_path, vary, words):
     assert any(words in each and each.startswith("sweep.yaml:2:") for each in problem), problem
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "vary: {a: {from: 0, to: 1, count: 1000000000}}",
+            "sweep.yaml:2:1: vary gives 1000000000 runs, but a sweep has",
+        ),
+        (
+            "vary: {a: {from: 0, to: 1, count: 100000}, b: {from: 0, to: 1, count: 100000}}",
+            "vary gives 10000000000 runs",
+        ),
+        ("vary: {a: [1, 2]}\nrepeat: {seeds: 1000}\nsampling: {kind: sobol, count: 1024}", "count gives 3072000 runs"),
+        (
+            "vary: {a: {from: 0, to: 1}}\nsampling: {kind: latin_hypercube, count: 1000000000}",
+            "sweep.yaml:3:35: sampling.count gives 1000000000 runs, but a sweep has at most 100000; give fewer values.",
+        ),
+    ],
+)
+def test_too_many_runs_are_refused_before_any_is_checked(tmp_path, text, words):
+    (problem,) = problems_of(tmp_path, f"scene: spheres.yaml\n{text}\nread: kinetic_energy\n")
+    assert words in problem
+
+
 def test_missing_scene_is_reported_at_its_key(tmp_path):
     path = write_sweep(tmp_path, SWEEP.replace("spheres.yaml", "spheers.yaml"))
     with pytest.raises(FileError, match=r"sweep.yaml:1:8: scene is spheers.yaml, but there is no file"):

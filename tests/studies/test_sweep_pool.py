@@ -112,6 +112,40 @@ def test_run_whose_scene_was_edited_after_its_check_is_not_kept(sweep, tmp_path)
     assert [row["status"] for row in again] == STATUSES and again[0]["runs"] != found[0]["runs"]
 
 
+@pytest.mark.parametrize(
+    "content", ["{}", "", '{"run": {"wall_clock": 1.0', '{"run": 5}', '{"run": {}, "expect": [{}]}']
+)
+def test_a_run_with_a_damaged_result_is_repeated(sweep, tmp_path, content):
+    out = tmp_path / "out"
+    run_sweep(sweep, out, Workers(jobs=1))
+    before, count = rows(out), len(starts(out))
+    (out / "runs" / before[0]["runs"] / "result.json").write_text(content)
+    (out / "runs" / before[3]["runs"] / "outcome.json").write_text(content)
+    run_sweep(sweep, out, Workers(jobs=1))
+    assert rows(out) == before and len(starts(out)) == count + 2
+
+
+def test_a_full_disk_is_reported_in_one_sentence_and_the_sweep_continues(sweep, tmp_path, monkeypatch):
+    """No file of the sweep can exceed 100 bytes: the results of the stand-in exceed it, too."""
+    out = tmp_path / "out"
+    limited = DRIVER + ""
+    program = limited.replace(
+        "import signal, sys", "import signal, sys, resource; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)"
+    )
+    program = program.replace(
+        "sys.exit(", "resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY)); sys.exit("
+    )
+    command = [sys.executable, "-B", "-c", program, "sweep", "sweep.yaml", "--out", str(out), "--jobs", "1"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 4 and "Traceback" not in done.stderr
+    assert done.stderr.endswith(
+        "cannot be written or read: File too large. The runs that have ended are kept: correct this, and repeat the "
+        "command.\n"
+    )
+    assert not run_sweep(sweep, out, Workers(jobs=1)).is_complete
+    assert [row["status"] for row in rows(out)] == STATUSES
+
+
 def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp_path):
     """A lost worker may leave its run behind: the run is not started twice, its result is used."""
     from granflow.io.lock import locked
@@ -133,8 +167,10 @@ def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp
     thread = threading.Thread(target=orphan)
     thread.start()
     held.wait()
-    run_sweep(sweep, out, Workers(jobs=1))
+    events = []
+    run_sweep(sweep, out, Workers(jobs=1), report=lambda _, event: events.append(event))
     thread.join()
+    assert events[1].startswith(f"runs/{directory.name} is carried out by process {os.getpid()} on ")
     assert len(starts(out)) == count and rows(out)[0]["status"] == "done"
 
 
@@ -194,6 +230,21 @@ def test_stop_signal_leaves_a_table_and_a_checkpoint(sweep, tmp_path, number, co
     assert process.returncode == code and "repeating the command continues it" in messages
     assert "not run" in {row["status"] for row in rows(out)}
     assert len(list((out / "runs").glob("*/checkpoint_1.npz"))) == 1
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_stop_signal_ends_the_check_of_many_points(tmp_path, number, code):
+    """The check of 20000 points takes about a minute; it states its progress, and stops at once."""
+    write_sweep(tmp_path, SWEEP.replace("count: 4", "count: 6000"))
+    command = [sys.executable, "-u", "-c", DRIVER, "sweep", "sweep.yaml", "--out", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        assert line.endswith(" of 18000 points are checked ...\n"), line
+        sent = time.monotonic()
+        process.send_signal(number)
+        _, messages = process.communicate(timeout=60)
+    assert process.returncode == code and time.monotonic() - sent < 5.0
+    assert "of 18000 points are checked, and no run has begun" in messages
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from granflow.studies.calibration.targets import Measured, read_target
 from granflow.studies.calibration.trials import TrialRunner
 from granflow.studies.run_processes.checked import RunSettings
 from granflow.studies.run_processes.executors import local_jobs
+from granflow.studies.run_processes.outcome import naming_write_errors
 from granflow.studies.run_processes.run_worker import close_workers
 
 POLL = 0.5
@@ -27,6 +28,9 @@ POLL = 0.5
 
 MOST_FAILURES = 8
 """Number of failed trials, without any completed one, after which a calibration ends."""
+
+REMEDY = "The trials that have ended are kept: correct this, and repeat the command."
+"""Sentence on an error of a file."""
 
 Report = Callable[[str], None]
 """Function that receives one line per trial."""
@@ -93,11 +97,18 @@ def run_calibration(
 
     `jobs`: number of simultaneous trials, default cores / threads; `stop`: stops all runs when it is set. The same
     command in other processes adds workers. Returns None if no trial was completed. Raises GranflowError if the
-    calibration is not valid, or if jobs * threads exceeds the cores.
+    calibration is not valid, or if jobs * threads exceeds the cores, and OutputError for files that cannot be written.
     """
-    stop = stop or Event()
     require_optuna(file.content.search.method)
     count = local_jobs(jobs, threads, worker_count(None)[0])
+    with naming_write_errors(out, REMEDY):
+        return _run(file, out, count, threads, stop or Event(), report)
+
+
+def _run(
+    file: CalibrationFile, out: Path, count: int, threads: int, stop: Event, report: Report
+) -> CalibrationResult | None:
+    """As `run_calibration`, with `count` simultaneous trials; raises OSError for files that cannot be written."""
     out.mkdir(parents=True, exist_ok=True)
     search = Search(file.content, out)
     stop_file = out / f".stop_{search.worker}"

@@ -1,5 +1,6 @@
 """The search: trials that several workers share through a journal in the folder of the calibration."""
 
+import json
 import os
 import socket
 import warnings
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import GranflowError
+from granflow.io.atomic_files import replacing
 from granflow.io.lock import locked
 from granflow.scene.schema.given_numbers import in_si
 from granflow.studies.calibration.response import fit_response
@@ -42,7 +44,8 @@ class Search:
         journal, path = self.optuna.storages.journal, str(out / JOURNAL)
         # Not the default lock: with a relative path it waits for ever for the lock of a killed process.
         lock = journal.JournalFileOpenLock(path, LOCK_GRACE)
-        storage = self.optuna.storages.JournalStorage(journal.JournalFileBackend(path, lock))
+        backend = _journal_of(journal, path, lock)
+        storage = self.optuna.storages.JournalStorage(backend)
         self.study = self.optuna.create_study(study_name="calibration", storage=storage, load_if_exists=True)
         self._refuse_other(calibration)
         self.study.sampler = self._sampler(len(self.study.get_trials(deepcopy=False)))
@@ -177,6 +180,74 @@ class Search:
         if np.abs(tried - found).max(axis=1).min() > NEW_POINT:
             named = zip(self.calibration.parameters.items(), found, strict=True)
             self.study.enqueue_trial({name: from_unit(each, share) for (name, each), share in named})
+
+
+def _journal_of(journal: Any, path: str, lock: Any) -> Any:
+    """The journal of Optuna in a file, without damaged lines; `journal`: its module, `lock`: of the file.
+
+    A line that a full disk cuts off is removed before the next one is written: the operation has failed for the worker
+    that wrote it, and no other worker has read it.
+    """
+
+    class Journal(journal.JournalFileBackend):
+        def append_logs(self, logs: list[dict[str, Any]]) -> None:
+            lines = "".join(json.dumps(log, separators=(",", ":")) + "\n" for log in logs).encode()
+            lock.acquire()
+            try:
+                with open(path, "r+b", buffering=0) as file:
+                    end = file.seek(0, os.SEEK_END)
+                    file.seek(max(end - 1, 0))
+                    if file.read(1) not in (b"", b"\n"):
+                        file.seek(0)
+                        end = file.read().rfind(b"\n") + 1
+                        file.truncate(end)
+                    file.seek(end)
+                    try:
+                        written = file.write(lines)
+                        while written < len(lines):
+                            written += file.write(lines[written:])
+                        os.fsync(file.fileno())
+                    except OSError:
+                        file.truncate(end)
+                        raise
+            finally:
+                lock.release()
+
+    if os.path.exists(path):
+        lock.acquire()
+        try:
+            _remove_damaged_lines(Path(path))
+        finally:
+            lock.release()
+    return Journal(path, lock)
+
+
+def _remove_damaged_lines(path: Path) -> None:
+    """Remove the lines of a journal that are no operations; a whole operation behind a cut-off one is kept."""
+    lines = path.read_bytes().splitlines(keepends=True)
+    kept = []
+    for line in lines:
+        found = line
+        while found and not _is_operation(found):
+            start = found.find(OPERATION, 1)
+            found = found[start:] if start > 0 else b""
+        kept.append(found)
+    if kept != lines:
+        with replacing(path, durable=True) as temporary:
+            temporary.write_bytes(b"".join(kept))
+
+
+OPERATION = b'{"op_code"'
+"""Start of a line of the journal."""
+
+
+def _is_operation(line: bytes) -> bool:
+    """Whether a line of the journal is complete."""
+    try:
+        content = json.loads(line)
+    except ValueError:
+        return False
+    return line.endswith(b"\n") and isinstance(content, dict) and {"op_code", "worker_id"} <= content.keys()
 
 
 def _by_target(trials: Sequence[Any], attribute: str) -> np.ndarray:

@@ -13,6 +13,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 from threading import Event
 
+from granflow.io.lock import holder_of
 from granflow.studies.run_processes.checked import CheckedRun
 from granflow.studies.run_processes.outcome import CRASHED, NOT_RUN, Outcome, final_outcome
 from granflow.studies.run_processes.process import RunRequest, execute
@@ -115,6 +116,7 @@ class Driver:
         self._schedule({run.request.directory: run for run in runs})
         self._began = time.monotonic()
         self._tell("")
+        self._tell_holders()
         while self._running or (self._ready and not self._stop.is_set()):
             try:
                 self._submit()
@@ -132,6 +134,14 @@ class Driver:
         if interrupt is not None:
             raise interrupt
         return self.outcomes
+
+    def _tell_holders(self) -> None:
+        """Report the runs that other processes carry out, such as workers whose command was killed."""
+        waiting = {job.run.directory for job in [*self._ready, *(job for held in self._held.values() for job in held)]}
+        for directory in sorted(waiting):
+            if holder := holder_of(directory):
+                name = f"{directory.parent.name}/{directory.name}"
+                self._tell(f"{name} is carried out by {holder}; its result is waited for, unless you end that process")
 
     def _schedule(self, runs: Mapping[str, CheckedRun]) -> None:
         """Sort the runs into those that have ended, those that can start, and those that wait for their kernels."""

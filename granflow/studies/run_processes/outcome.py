@@ -1,19 +1,23 @@
 """Outcome of a run, from the files in its directory: nothing else is known about runs after a restart."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields
 from math import nan
 from pathlib import Path
 from typing import Any
 
-from granflow import GranflowError, read_run
+from granflow import GranflowError, OutputError, read_run
 from granflow.io.atomic_files import write_text
 
 DONE, MISSED, REFUSED, ABORTED = "done", "expectation missed", "refused", "aborted"
 CRASHED, NOT_RUN = "crashed", "not run"
 SEVERITY = (DONE, MISSED, NOT_RUN, REFUSED, ABORTED, CRASHED)
 """Statuses of a run in ascending severity; a run that was stopped, or not started, has the status NOT_RUN."""
+
+RESULT = "result.json"
+"""File in the directory of a run with its numbers, written at its end."""
 
 RECORD = "outcome.json"
 """File in the directory of a run with its outcome, written when the process has ended."""
@@ -43,15 +47,40 @@ UNFINISHED = Outcome(NOT_RUN)
 
 
 def final_outcome(directory: Path) -> Outcome | None:
-    """The outcome of a run that is not repeated: completed or aborted; None for all others."""
-    result = read_json(directory / "result.json")
-    if result is not None:
-        missed = [each["sentence"] for each in result["expect"] if not each["met"]]
-        return Outcome(MISSED if missed else DONE, " ".join(missed), result["run"]["wall_clock"])
+    """The outcome of a run that is not repeated: completed or aborted; None for all others.
+
+    A result or a record that is damaged, such as one that a full disk has cut off, is that of a run to repeat.
+    """
+    if (directory / RESULT).exists():
+        try:
+            result = read_run(directory).result
+        except GranflowError:
+            return None
+        if result is None or "wall_clock" not in result.run:
+            return None
+        missed = [each.sentence for each in result.expectations if not each.met]
+        return Outcome(MISSED if missed else DONE, " ".join(missed), result.run["wall_clock"])
     record = read_json(directory / RECORD)
-    if record is not None and record["status"] == ABORTED:
+    if (
+        isinstance(record, dict)
+        and record.get("status") == ABORTED
+        and set(record) == {f.name for f in fields(Outcome)}
+    ):
         return Outcome(**record)
     return None
+
+
+@contextmanager
+def naming_write_errors(out: Path, remedy: str) -> Iterator[None]:
+    """In the block, an error of the operating system, such as a full disk, becomes an OutputError with a `remedy`.
+
+    `out`: directory of the study, for errors that do not name a file.
+    """
+    try:
+        yield
+    except OSError as error:
+        where = error.filename or out
+        raise OutputError(f"{where} cannot be written or read: {error.strerror or error}. {remedy}") from None
 
 
 def write_outcome(directory: Path, outcome: Outcome) -> None:

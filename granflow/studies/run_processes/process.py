@@ -16,6 +16,7 @@ from granflow.studies.run_processes.outcome import (
     CRASHED,
     NOT_RUN,
     REFUSED,
+    RESULT,
     UNFINISHED,
     Outcome,
     final_outcome,
@@ -92,7 +93,8 @@ def execute(request: RunRequest, should_stop: Callable[[], bool] = lambda: False
     if known is not None:
         return known
     began = time.monotonic()
-    has_checkpoint = any(directory.glob("checkpoint_*.npz"))
+    is_damaged = (directory / RESULT).exists()  # it has no final outcome: its result is cut off
+    has_checkpoint = not is_damaged and any(directory.glob("checkpoint_*.npz"))
     starting = _Start(request)
     code: int | None = REFUSAL
     if has_checkpoint:  # a resumed run reads the copies of the inputs in its directory

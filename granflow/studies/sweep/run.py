@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
@@ -14,7 +15,7 @@ from granflow.scene.validated_file import validated_file, validated_mapping
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
 from granflow.studies.run_processes.driver import Driver, Progress, Report
 from granflow.studies.run_processes.executors import Workers, executor_for
-from granflow.studies.run_processes.outcome import Outcome
+from granflow.studies.run_processes.outcome import Outcome, naming_write_errors
 from granflow.studies.run_processes.settings import relocated
 from granflow.studies.sweep.design import DesignPoint, design_points
 from granflow.studies.sweep.page import write_sweep_page
@@ -28,8 +29,18 @@ STOP_FILE = ".stop"
 TABLE_INTERVAL = 10.0
 """Shortest time [s] between two updates of the tables during the runs."""
 
+CHECK_REPORT = 5.0
+"""Time [s] between two reports while the points are checked."""
+
+REMEDY = "The runs that have ended are kept: correct this, and repeat the command."
+"""Sentence on an error of a file."""
+
 Points = Sequence[tuple[DesignPoint, Sequence[CheckedRun | str]]]
 """Each point with its runs, or the reasons why these are refused."""
+
+
+class SweepStopped(GranflowError):
+    """A stop was requested while the points were checked; no file was changed."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +80,30 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
     return SweepFile(content, scene, name, positions, read)
 
 
-def checked_points(sweep: SweepFile, common: RunSettings) -> Points:
+def checked_points(
+    sweep: SweepFile,
+    common: RunSettings,
+    is_stopping: Callable[[], bool] = lambda: False,
+    announce: Callable[[str], None] = lambda _: None,
+) -> Points:
     """All points with their checked runs, one for each seed; a reason in place of a refused run.
 
-    Raises FileError if every run is refused, with the different reasons, at their positions in the sweep file.
+    `announce` receives a line each CHECK_REPORT. Raises FileError if every run is refused, with the different reasons,
+    at their positions in the sweep file, and SweepStopped as soon as `is_stopping` returns True.
     """
-    found = [
-        (point, [_checked(sweep, point, common, offset) for offset in range(sweep.content.repeat.seeds)])
-        for point in design_points(sweep.content)
-    ]
+    points = design_points(sweep.content)
+    found: list[tuple[DesignPoint, Sequence[CheckedRun | str]]] = []
+    told = time.monotonic()
+    for number, point in enumerate(points):
+        checked = []
+        for offset in range(sweep.content.repeat.seeds):
+            if is_stopping():
+                raise SweepStopped(f"stopped: {number} of {len(points)} points are checked, and no run has begun.")
+            checked.append(_checked(sweep, point, common, offset))
+        found.append((point, checked))
+        if time.monotonic() - told > CHECK_REPORT:
+            told = time.monotonic()
+            announce(f"{number + 1} of {len(points)} points are checked")
     runs = [run for _, each in found for run in each]
     if all(isinstance(run, str) for run in runs):
         raise FileError(list(dict.fromkeys(str(run) for run in runs)))
@@ -101,17 +127,19 @@ def run_sweep(
     arch: str = "cpu",
     stop: Event | None = None,
     report: Report = lambda *_: None,
+    announce: Callable[[str], None] = lambda _: None,
 ) -> SweepTable:
     """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
 
-    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress.
-    Raises GranflowError if the sweep or the workers are not valid, or if another process runs a sweep in `out`.
+    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress of the runs,
+    `announce` lines before them. Raises GranflowError if the sweep or the workers are not valid, or if another process
+    runs a sweep in `out`, SweepStopped for a stop before the first run, OutputError for files that cannot be written.
     """
     stop = stop or Event()
-    with locked(out):
+    with naming_write_errors(out, REMEDY), locked(out):
         common = RunSettings(out / "runs", workers.threads, arch, out / STOP_FILE)
         common.stop_file.unlink(missing_ok=True)
-        points = checked_points(sweep, common)
+        points = checked_points(sweep, common, stop.is_set, announce)
         runs = [run for _, each in points for run in each if isinstance(run, CheckedRun)]
         names = (tuple(sweep.content.vary), sweep.content.read)
         with executor_for(workers) as (executor, slots):
@@ -140,5 +168,6 @@ class _Updates:
         """Report the progress, and write the tables if they are old."""
         self._report(progress, event)
         if time.monotonic() - self._written > TABLE_INTERVAL:
-            write_tables(self._out, self._table(self.outcomes))
+            with suppress(OSError):  # a full disk is reported at the end, when the runs have ended in an orderly way
+                write_tables(self._out, self._table(self.outcomes))
             self._written = time.monotonic()

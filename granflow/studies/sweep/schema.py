@@ -1,6 +1,7 @@
 """Schema of sweep files."""
 
 from collections.abc import Iterator, Mapping
+from math import prod
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
@@ -11,6 +12,9 @@ from granflow.scene.schema.fields import FileName, ListOf, Model, Text, choose_b
 from granflow.scene.schema.given_numbers import GivenQuantity, bound_faults, mixed_units
 from granflow.scene.schema.numbers import Number
 from granflow.scene.schema.scene import Seed
+
+MOST_RUNS = 100_000
+"""Largest number of runs of a sweep. Each is checked before the first one begins, which takes some milliseconds."""
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[walls.plug.radius, walls.floor.hole_radius]")]
 AnyValues = Annotated[tuple[Any, ...], ListOf(some="[0.1, 0.3, 0.5]")]
@@ -135,6 +139,17 @@ class SweepInput(Model):
             if not gridded and variation.count is not None:
                 yield whole(("vary", name, "count"), "has no effect: sampling.count is the number of points; remove it")
         yield from self._repeated_keys()
+        if self.run_count > MOST_RUNS:
+            path = ("vary",) if gridded else ("sampling", "count")
+            yield whole(path, f"gives {self.run_count} runs, but a sweep has at most {MOST_RUNS}; give fewer values")
+
+    @property
+    def run_count(self) -> int:
+        """Number of points times seeds."""
+        if isinstance(self.sampling, Grid):
+            return prod(map(_value_count, self.vary.values())) * self.repeat.seeds
+        designs = len(self.vary) + 2 if isinstance(self.sampling, SobolSampling) else 1
+        return self.sampling.count * designs * self.repeat.seeds
 
     def _repeated_keys(self) -> Iterator[Fault]:
         """Faults of keys of the scene that several entries set."""
@@ -146,6 +161,13 @@ class SweepInput(Model):
                 seen[key] = f"vary.{name}"
         if self.repeat.seeds > 1 and "seed" in seen:
             yield whole(("repeat",), f"changes the seed, which {seen['seed']} sets too; keep one of them")
+
+
+def _value_count(variation: Any) -> int:
+    """Number of values of a parameter in a grid."""
+    if isinstance(variation, ValueRange):
+        return variation.count or 1
+    return len(variation.values if isinstance(variation, ValueList) else variation)
 
 
 def keys_of(name: str, variation: Any) -> tuple[str, ...]:
