@@ -212,8 +212,9 @@ class Readings:
     def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Fields on the host in device order, with velocities and angular velocities at the time of the positions.
 
-        names:    particle fields, with mass, velocity, force and, with rotation, radius, angular_velocity, torque
-        Returns:  arrays (n,) or (n, 3); fields that the scene does not have are absent
+        names:    particle fields
+        Returns:  arrays (n,) or (n, 3) by name, also of the fields that determine the velocities; fields that the scene
+                  does not have are absent
 
             v(t) = v(t - dt/2) + dt F(t) / (2 m),   w(t) = w(t - dt/2) + dt M(t) / (2 I),   I = (2/5) m R^2
 
@@ -223,8 +224,11 @@ class Readings:
 
     def _own_synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """As `synchronized`, of the particles of this process."""
-        clump_motion = CLUMP_MOTION if self.plan.features.clumps else ()
-        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, "fixed", *clump_motion))))
+        has_clumps = self.plan.features.clumps
+        rotation = ("radius", "angular_velocity", "torque") if has_clumps or "angular_velocity" in names else ()
+        clump_motion = CLUMP_MOTION if has_clumps else ()
+        needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion)
+        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, *needed))))
         if not self._started:
             return arrays
         clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)

@@ -17,7 +17,7 @@ import numpy as np
 from granflow.engine.exact_sums import shares_rows, to_units
 from granflow.engine.limits import ABORT_WALL
 from granflow.engine.state import State
-from granflow.geometry.motion import is_running
+from granflow.geometry.motion import is_running, pose
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import WALL_FORCE
 
@@ -220,28 +220,38 @@ def controlled_velocities(state: State) -> np.ndarray:
 
 def _per_wall(state: State, name: str) -> np.ndarray:
     """Sum over the motions of each wall of a field times the direction (walls, 3)."""
+    if state.wall_dynamics is None:
+        return np.zeros((len(state.plan.walls), 3))
+    return _summed_per_wall(state, getattr(state.wall_dynamics, name).to_numpy())
+
+
+def _summed_per_wall(state: State, values: np.ndarray) -> np.ndarray:
+    """Sum over the motions of each wall of values (motions,) times the direction (walls, 3)."""
     found = np.zeros((len(state.plan.walls), 3))
-    if state.wall_dynamics is not None:
-        values = getattr(state.wall_dynamics, name).to_numpy()
-        for controlled, value in zip(state.plan.controlled_motions, values, strict=True):
-            found[controlled.wall] += value * np.array(controlled.direction)
+    for controlled, value in zip(state.plan.controlled_motions, values, strict=True):
+        found[controlled.wall] += value * np.array(controlled.direction)
     return found
 
 
 def controlled_totals(state: State) -> dict[str, float]:
     """Displacement [m] and velocity [m/s] of force-controlled walls; with the energy budget, energies [J].
 
-    Keys as `wall_displacement.NAME`; velocities at the time of the positions. Empty without force-controlled walls.
+    Both are those of all motions of the wall, along the direction of its first force-controlled motion; a rotation does
+    not contribute. Keys as `wall_displacement.NAME`; velocities at the time of the positions. Empty without
+    force-controlled walls.
     """
     if state.wall_dynamics is None:
         return {}
     controlled_motions, (velocity, _work_on_particles, work) = state.plan.controlled_motions, _synchronized(state)
-    offset = state.wall_dynamics.offset.to_numpy()
+    displacements, velocities = controlled_displacements(state), _summed_per_wall(state, velocity)
     found: dict[str, float] = {}
-    for r, controlled in enumerate(controlled_motions):
-        for quantity, values in (("wall_displacement", offset), ("wall_velocity", velocity)):
-            name = f"{quantity}.{controlled.name}"
-            found[name] = found.get(name, 0.0) + float(values[r])
+    for controlled in controlled_motions:
+        if f"wall_displacement.{controlled.name}" not in found:
+            direction, wall = np.array(controlled.direction), controlled.wall
+            prescribed = pose(state.wall_motions[wall], np.array([state.clock.time]))
+            displacement = prescribed.offset[0] + displacements[wall]
+            found[f"wall_displacement.{controlled.name}"] = float(displacement @ direction)
+            found[f"wall_velocity.{controlled.name}"] = float((prescribed.velocity[0] + velocities[wall]) @ direction)
     if state.plan.features.energy_budget:
         free = [r for r, controlled in enumerate(controlled_motions) if controlled.kind == "free"]
         found["free_wall_energy"] = sum(0.5 * controlled_motions[r].mass * float(velocity[r]) ** 2 for r in free)

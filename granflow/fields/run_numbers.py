@@ -123,8 +123,8 @@ WALL_FORCE_QUANTITIES = by_name(
 
 WALL_QUANTITIES = by_name(
     (
-        Quantity("wall_displacement", "", "m", "displacement of a controlled wall along its direction since the start"),
-        Quantity("wall_velocity", "", "m/s", "velocity of a controlled wall along its direction"),
+        Quantity("wall_displacement", "", "m", "displacement of a controlled wall along its direction, of all motions"),
+        Quantity("wall_velocity", "", "m/s", "velocity of a controlled wall along its direction, of all motions"),
     )
 )
 """Numbers of each controlled wall."""

@@ -188,7 +188,7 @@ class LiveParticles:
             remove_particles(engine.state, removed)
 
     def _masses(self, indices: np.ndarray) -> np.ndarray:
-        return self._engine.synchronized(("mass", "velocity", "force"))["mass"][indices]
+        return self._engine.copied(("mass",))["mass"][indices]
 
     def _field(self, name: str) -> np.ndarray:
         """A particle field in the order of ids."""
@@ -198,7 +198,7 @@ class LiveParticles:
     def _motion(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (n, 3), float64, in the order of ids."""
         engine = self._engine
-        arrays = engine.synchronized(("mass", "position", "velocity", "force"))
+        arrays = engine.synchronized(("position", "velocity"))
         order = present_indices(engine.state)
         position, velocity = (arrays[name][order].astype(float) for name in ("position", "velocity"))
         return engine.plan.periodic_box.wrap_with_velocity(position, velocity, engine.time)
@@ -206,8 +206,7 @@ class LiveParticles:
     def _angular_velocity(self) -> np.ndarray:
         """Angular velocities (n, 3), float64; zero without rotation."""
         engine = self._engine
-        names = ("mass", "radius", "velocity", "force", "angular_velocity", "torque")
-        values = engine.synchronized(names).get("angular_velocity", np.zeros((engine.state.count, 3)))
+        values = engine.synchronized(("angular_velocity",)).get("angular_velocity", np.zeros((engine.state.count, 3)))
         return values[present_indices(engine.state)].astype(float)
 
     def _force(self) -> np.ndarray:

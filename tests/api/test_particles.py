@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from clumps import clump_group
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
@@ -43,6 +44,25 @@ def test_arrays_are_ordered_by_id_and_copies(simulation):
         np.testing.assert_array_equal(getattr(particles, name), snapshot.particles[name])
     particles.velocity[:][0] = 7.0
     assert np.abs(particles.velocity).max() < 1.0
+
+
+def test_arrays_of_rotating_clumps_are_those_of_the_snapshot(taichi_f64):
+    """In free fall a rod keeps its spin w about y: v = (0, 0, -g t) + w x (x - center), with the center on a parabola.
+
+    Reading velocities or positions alone, without the arrays that determine them, ended in a KeyError.
+    """
+    spin, group = 40.0, clump_group([[0.0, 0.0, 0.1]]) | {"angular_velocity": [0.0, 40.0, 0.0]}
+    scene = build_scene({"rod": group, "ball": particle_group([[0.05, 0.0, 0.1]])}, gravity=[0.0, 0.0, -GRAVITY],
+                        pair={"friction": 0.3}, run={"duration": 0.1, "velocity_max": 2.0})  # fmt: skip
+    with gf.Simulation(scene) as simulation:
+        simulation.run(until=5e-3)
+        particles, snapshot, time = simulation.particles, simulation.snapshot().particles, simulation.time
+        for name in ("velocity", "position", "angular_velocity", "mass", "force"):
+            np.testing.assert_array_equal(getattr(particles, name)[:], snapshot[name], name)
+        arm = particles.position[:4] - particles.position[:4].mean(axis=0)
+        expected = np.cross([0.0, spin, 0.0], arm) - [0.0, 0.0, GRAVITY * time]
+        assert np.abs(arm).max() > 1e-4
+        np.testing.assert_allclose(particles.velocity[:4], expected, rtol=0.0, atol=1e-6)
 
 
 def test_velocities_written_before_the_start_and_during_the_run_give_the_parabola(simulation):

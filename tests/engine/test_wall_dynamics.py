@@ -96,6 +96,30 @@ def test_floor_carries_the_weight_of_a_free_piston_at_rest(taichi_f64):
     assert abs(result["wall_displacement.piston"]) < 1e-12
 
 
+def test_displacement_of_a_free_wall_contains_its_prescribed_motions(taichi_f64):
+    """Free fall upwards: x(t) = v t + F / (2 M) t^2 along z, while the wall turns about z and moves along x and z.
+
+    The leapfrog scheme is exact for a constant acceleration.
+    """
+    mass, force, rate, end = 0.5, 0.2, 0.03, 0.02
+    motions = [
+        {"kind": "rotation", "point": [0.5, 0, 0], "axis": [0, 0, 1], "angular_velocity": 2.0},
+        {"kind": "translation", "velocity": [0.1, 0, rate]},
+        free(mass, force=force),
+    ]
+    scene = build_scene(
+        {"ball": particle_group([[0.0, 0.0, RADIUS]])}, walls={"floor": FLOOR, "lid": lid(0.02, motions)},
+        normal="hertz", gravity=[0.0, 0.0, 0.0], run={"duration": end, "velocity_max": 0.5}, output={"interval": 1.0},
+    )  # fmt: skip
+    with Simulation(scene) as simulation:
+        result = simulation.run().numbers
+        time, pose = simulation.time, simulation.walls["lid"].pose
+    expected = rate * time + 0.5 * force / mass * time**2
+    assert result["wall_displacement.lid"] == pytest.approx(expected, rel=1e-9)
+    assert result["wall_displacement.lid"] == pytest.approx(pose.offset[2], rel=1e-12)
+    assert result["wall_velocity.lid"] == pytest.approx(rate + force / mass * time, rel=1e-9)
+
+
 PRESSURE, SIDE = 2e4, 0.041
 
 
