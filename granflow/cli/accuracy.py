@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_out, add_overrides, add_verb, simulated_time
-from granflow.cli.messages import say, say_progress, show_table, write_study
+from granflow.cli.messages import exit_code_of, print_error, say, say_progress, show_table, write_study
 from granflow.errors import GranflowError
 
 
@@ -57,16 +57,24 @@ def _scene(options: argparse.Namespace) -> int:
         scene_rows,
         write_scene,
     )
-    from granflow.studies.accuracy.scene_runs import SceneTask, reduced_counts
+    from granflow.studies.accuracy.scene_runs import KeptRuns, SceneTask, reduced_counts
 
     task = SceneTask(options.scene, tuple(options.overrides), options.until)
     reductions = [] if options.all_particles else reduced_counts(task.scene())
     if reductions:
         say(f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene.")
-    study = measure_scene(task.with_overrides(*reductions), options.target, options.full, say_progress)
+    out = options.out or Path("out") / f"accuracy_{options.scene.stem}"
+    kept = out / "accuracy_runs.json"
+    try:
+        study = measure_scene(
+            task.with_overrides(*reductions), options.target, options.full, say_progress, kept=KeptRuns(kept)
+        )
+    except KeyboardInterrupt as stop:
+        remedy = "repeat the command to continue"
+        return print_error(f"stopped; the runs that have ended are in {kept}, {remedy}.", exit_code_of(stop))
     show_table(study.title, scene_heads(study), scene_rows(study))
     say(noise_sentence(study))
-    write_study(options.out or Path("out") / f"accuracy_{options.scene.stem}", write_scene, study)
+    write_study(out, write_scene, study)
     say(scene_recommendation(study))
     return 0
 

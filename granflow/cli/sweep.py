@@ -42,6 +42,9 @@ def sweep(options: argparse.Namespace) -> int:
     )
     for reason in dict.fromkeys(row.outcome.reason for row in table.rows if row.outcome.reason):
         say(reason)
+    warned = [row for row in table.rows if row.warnings]
+    if warned:
+        say(f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: {warned[0].warnings}")
     say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
     return 0 if table.is_complete else 1
 

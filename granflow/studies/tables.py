@@ -43,3 +43,9 @@ def stacked(names: Sequence[str], parts: Iterable[Sequence[Any]]) -> dict[str, n
     """Columns from parts that follow each other; a part has an array (rows,) or a constant for each name."""
     blocks = [np.broadcast_arrays(*part) for part in parts]
     return {name: np.concatenate([block[k] for block in blocks] or [np.empty(0)]) for k, name in enumerate(names)}
+
+
+def without_empty_ends(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> PageTable:
+    """A table of a page without those of its last two columns, reasons and warnings, that are empty."""
+    kept = [k for k in range(len(heads)) if k < len(heads) - 2 or any(row[k] for row in rows)]
+    return PageTable([heads[k] for k in kept], [[row[k] for k in kept] for row in rows])

@@ -201,11 +201,14 @@ def test_the_recommendation_is_the_cheapest_row_of_the_table():
              synthetic_line("zhou", "f32", 30.0, 2e-7), synthetic_line("hertz", "f64", 0.1, 1e-9)]  # fmt: skip
     sentence, rows = recommendation(lines, 0.01), table_rows(lines, 0.01)
     chosen = rows[1]
-    assert f"T/{chosen[4]}," in sentence and f"time_step_fraction {chosen[5]})" in sentence
-    assert "precision mixed" in sentence and f"{chosen[6].split()[0]} s per million" in sentence
+    assert f"T/{chosen[4]} (time_step_fraction {chosen[5]})" in sentence
+    assert "precision mixed" in sentence and f"it costs {chosen[6].split()[0]} s (" in sentence
     assert len(chosen) == len(table_heads(0.01))
     assert rows[2][4:6] == ("80", "0.031")  # 2 * 30 / 80^2 = 0.94 %
     assert "No time step" in recommendation(lines, 1e-9)
+    overlapping = recommendation([*lines, synthetic_line("zhou", "f32", 7.0, 1.2e-7)], 0.01)  # 10 % about each
+    assert " use " not in overlapping and "not distinguished" in overlapping
+    assert "precision mixed: 4 s" in overlapping and "precision f32: 4.8 s" in overlapping and "f64" not in overlapping
 
 
 # ---------------------------------------------------------------- files and messages

@@ -10,6 +10,7 @@ import pytest
 from granflow.errors import GranflowError, SceneError
 from granflow.load import load
 from granflow.particles.generate import initial_particles
+from granflow.studies.accuracy import scene_runs
 from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, _Runs, _study, measure_scene
 from granflow.studies.accuracy.scene_report import (
     noise_sentence,
@@ -21,6 +22,7 @@ from granflow.studies.accuracy.scene_report import (
 from granflow.studies.accuracy.scene_runs import (
     SAMPLES,
     STEP_FAMILIES,
+    KeptRuns,
     RunOutcome,
     SceneTask,
     phase_of,
@@ -121,20 +123,66 @@ def test_errors_are_separated_from_noise():
     assert [study.within_target(point) for point in (stopped, wrong, bouncy, noisy, reference)] == [False] * 3 + [
         True
     ] * 2
-    assert study.best is noisy
+    assert study.cheapest == [noisy]
 
 
-@pytest.mark.parametrize(("fastest", "precision"), [(0.9, "f64"), (1.1, "f32")])
-def test_a_lower_precision_must_be_faster_than_the_scatter_of_wall_times(fastest, precision):
-    """Three runs in f64 take `fastest`, 1.2 and 1.3 s; in f32 all take 1 s."""
+def test_costs_that_overlap_give_no_recommendation():
+    """Three runs in f64 take 0.9 or 1.1, 1.2 and 1.3 s; in f32 all take 1 s."""
     heights = (1.00, 1.02, 0.98)
-    times = (fastest, 1.2, 1.3)
-    double = [outcome(1e-5, h, seconds) for h, seconds in zip(heights, times, strict=True)]
-    runs = [
-        _Runs("fixed", "f64", 0.1, 1e-5, 0.001, double),
-        _Runs("fixed", "f32", 0.1, 1e-5, 0.001, [outcome(1e-5, h, 1.0) for h in heights]),
-    ]
-    assert _study(runs, 0.1, "made up", (0.1, 1e-5), 12, 3, 0.01).best.precision == precision
+
+    def study(fastest):
+        times = (fastest, 1.2, 1.3)
+        double = [outcome(1e-5, h, seconds) for h, seconds in zip(heights, times, strict=True)]
+        runs = [
+            _Runs("fixed", "f64", 0.1, 1e-5, 0.001, double),
+            _Runs("fixed", "f32", 0.1, 1e-5, 0.001, [outcome(1e-5, h, 1.0) for h in heights]),
+        ]
+        return _study(runs, 0.1, "made up", (0.1, 1e-5), 12, 3, 0.01)
+
+    assert "use dt = 1e-05 s (time_step_fraction 0.1), precision f32: it costs 2 s" in scene_recommendation(study(1.1))
+    sentence = scene_recommendation(study(0.9))
+    assert " use " not in sentence and "not distinguished by their costs" in sentence
+    assert "precision f32, 2 s (2 to 2); " in sentence and "precision f64, 2.4 s (1.8 to 2.6). " in sentence
+
+
+def test_runs_of_a_study_that_was_stopped_are_kept(drop, tmp_path, monkeypatch):
+    """The study is interrupted in its sixth run; the next one repeats neither the first five runs nor damaged ones."""
+    ran, lines = [], []
+
+    def run_task(task):
+        ran.append(task)
+        if len(ran) == 6:
+            raise KeyboardInterrupt
+        return outcome(1e-5, 1.0, 1.0 + 0.01 * len(ran))
+
+    monkeypatch.setattr(scene_runs, "run_task", run_task)
+    monkeypatch.setattr(scene_runs, "restitution_error", lambda _: 0.001)
+    task, path = SceneTask(drop, (), None), tmp_path / "out" / "accuracy_runs.json"
+
+    def study():
+        return measure_scene(task, 0.01, report=lines.append, shares=(0.1,), precisions=("f64",), kept=KeptRuns(path))
+
+    with pytest.raises(KeyboardInterrupt):
+        study()
+    assert lines[-1] == "run 6 of 9: fixed time step, 0.1 of the shortest phase, f64, seed 3"
+    lines.clear()
+    found = study()
+    assert len(ran) == 6 + 4 and [line.endswith(", kept") for line in lines] == [True] * 5 + [False] * 4
+    assert [point.seconds.tolist() for point in found.points] == [
+        [1.01, 1.02, 1.03], [1.04, 1.05, 1.07], [1.08, 1.09, 1.1]
+    ]  # fmt: skip
+    kept = path.read_text()
+    study()
+    assert len(ran) == 10
+    drop.write_text(DROP.replace("2500", "2600"))
+    study()
+    assert len(ran) == 10 + 9
+    drop.write_text(DROP)
+    for damaged in ("", "[]", kept[: len(kept) // 2], "{}"):
+        path.write_text(damaged)
+        count = len(ran)
+        study()
+        assert len(ran) == count + 9
 
 
 def test_the_recommendation_is_a_row_of_the_table():
@@ -142,7 +190,7 @@ def test_the_recommendation_is_a_row_of_the_table():
     sentence, rows = scene_recommendation(study), scene_rows(study)
     chosen = rows[3]
     assert f"time_step_fraction {chosen[2]}" in sentence and f"dt = {chosen[3]} s" in sentence
-    assert f"{chosen[-2].split()[0]} s per simulated second" in sentence  # 1.0 s for 0.5 s
+    assert f"it costs {chosen[-2].split()[0]} s (" in sentence  # 1.0 s for 0.5 s
     assert chosen[-2].startswith("2 ") and chosen[-1] == "yes"
     assert all(len(row) == len(scene_heads(study)) for row in rows)
     assert "2 standard errors: 1 of 4;" in noise_sentence(study)
@@ -169,7 +217,7 @@ def test_study_of_a_small_scene_writes_all_files(drop, tmp_path):
     reference, coarse, fine, *adaptive = study.points
     assert [(point.family, point.share) for point in adaptive] == [("adaptive", 0.3), ("adaptive", 0.1)]
     assert coarse.restitution_error > fine.restitution_error > reference.restitution_error
-    assert study.best is not None and len(coarse.seconds) == 3
+    assert study.cheapest and len(coarse.seconds) == 3
     pytest.importorskip("matplotlib")
     write_scene(tmp_path / "out", study)
     assert (tmp_path / "out" / "accuracy.png").stat().st_size > 10_000

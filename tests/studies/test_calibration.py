@@ -290,6 +290,9 @@ def test_two_workers_find_planted_values_and_continue(tmp_path, monkeypatch):
     assert result.is_met and len(lines) == 30
     assert [each.value for each in result.parameters] == pytest.approx([0.27, 0.62], rel=0.05)
     assert not any(each.not_identified for each in result.parameters) and not result.conflicts
+    assert result.remarks == ("Warning of the best trial, pair: A wall has moved away.",)
+    assert (tmp_path / "out" / "trials.csv").read_text().count("pair: A wall has moved away.") >= 15
+    assert ">warnings</th>" in (tmp_path / "out" / "calibration.html").read_text()
     best = (tmp_path / "out" / "best.yaml").read_text()
     assert f"friction: {result.parameters[0].value!r}" in best
     # The same command repeats nothing.

@@ -47,13 +47,13 @@ def finished(folder, name, value, aborts=False):
     return made
 
 
-def swept(folder, aborts=(), **parts):
-    """A sweep of three parameters whose runs have the Ishigami function as their mass flow rate."""
+def swept(folder, aborts=(), function=ishigami, **parts):
+    """A sweep, by default of three parameters, whose runs have a function of them as their mass flow rate."""
     bounds = {"from": -pi, "to": pi} | ({} if "sampling" in parts else {"count": 3})
     content = {"scene": "a.yaml", "vary": dict.fromkeys(("a.x", "a.y", "b.z"), bounds), "read": ["mass_flow.out"]}
     sweep = SweepInput.model_validate(content | parts)
     points = [
-        (point, [finished(folder, f"run{k}", ishigami(*point.values.values()), k in aborts)])
+        (point, [finished(folder, f"run{k}", function(*point.values.values()), k in aborts)])
         for k, point in enumerate(design_points(sweep))
     ]
     outcomes = {each.request.directory: final_outcome(each.directory) for _, (each,) in points}
@@ -81,6 +81,50 @@ def test_page_of_a_grid_has_heat_maps_and_the_reason_of_an_abort(tmp_path):
     assert "Two parameters" in page and "overlap above the limit" in page and ">reason</th>" in page
     assert "standard error" not in page and "equal intervals" not in page  # one seed, few values
     assert "Sobol" not in page.partition("<body>")[2].partition("<script>")[0]
+
+
+MARKUP = "<b>x</b><a href='http://example.org'>%{x}</a>"
+
+
+def plotted_texts(page):
+    """All texts in the figures of a page, which plotly reads as markup."""
+    found = []
+
+    def collect(value):
+        if isinstance(value, str):
+            found.append(value)
+        for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+            collect(each)
+
+    for figure in re.findall(r"<script[^>]*application/json[^>]*>(.*?)</script>", page, re.S):
+        collect(json.loads(figure))
+    return found
+
+
+def test_names_and_values_of_a_sweep_are_no_markup_in_its_plots(tmp_path):
+    pytest.importorskip("plotly")
+    vary = {MARKUP: {"keys": "a.x", "values": [MARKUP, "plain"]}, "b.y": [1, 2]}
+    sweep, table = swept(tmp_path, vary=vary, function=lambda _name, y: y)
+    write_sweep_page(tmp_path, sweep, table)
+    texts = plotted_texts((tmp_path / "sweep.html").read_text())
+    assert any("&lt;b&gt;x&lt;/b&gt;" in text for text in texts)
+    tags = {tag for text in texts for tag in re.findall(r"<[^>]*>", text)}
+    assert tags <= {"<br>", "<extra>", "</extra>"}
+    assert not any("%{x}" in text and "hovertemplate" in text for text in texts)
+
+
+def test_tables_of_a_sweep_have_the_warnings_of_its_runs(tmp_path):
+    sweep, table = swept(tmp_path)
+    warned = table.rows[3].runs[0].run.directory / "result.json"
+    warned.write_text(json.dumps(json.loads(warned.read_text()) | {"warnings": ["walls.lid has never touched."]}))
+    outcomes = {each.run.request.directory: each.outcome for row in table.rows for each in row.runs}
+    points = [(row.point, [each.run for each in row.runs]) for row in table.rows]
+    table = table_of(table.parameters, table.quantities, points, outcomes)
+    for columns in (table.columns(), table.run_columns()):
+        assert [k for k, text in enumerate(columns["warnings"]) if text == "walls.lid has never touched."] == [3]
+    write_sweep_page(tmp_path, sweep, table)
+    page = (tmp_path / "sweep.html").read_text()
+    assert ">warnings</th>" in page and "walls.lid has never touched." in page
 
 
 def test_page_of_a_sweep_has_degrees_and_the_units_of_the_sweep_file(tmp_path):

@@ -61,6 +61,9 @@ def test_sweep_with_an_abort_and_a_refusal_has_twelve_rows_and_repeats_nothing(s
     )
     assert "1, but should be below 1." in found[4]["reason"] and len(starts(out)) == 8
     assert found[0]["reason"] == f"runs/{found[0]['runs']}: rotational_energy is NaN."
+    assert [row["warnings"] for row in found] == ["A wall has moved away."] * 3 + [""] + [
+        "A wall has moved away."
+    ] * 3 + [""] * 5
     run_sweep(sweep, out, Workers(jobs=2))
     assert rows(out) == found and len(starts(out)) == 8
     text = f"steel-steel.restitution = 0.5, steel-steel.friction = 0.1 ({found[0]['runs']}) done"

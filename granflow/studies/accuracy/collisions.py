@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import ceil
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -44,8 +44,8 @@ REPEATS = 5
 class CollisionResults:
     """Results of collisions with `steps` time steps per duration; arrays (kinds, phases), nan where not observed.
 
-    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): wall time of one collision [s], the total
-    of all simultaneous collisions divided by their number.
+    `time_step` [s]; `duration` [s]; `overlap_max` [m]. `seconds` (repeats,): processor time of one collision [s], the
+    total of all simultaneous collisions divided by their number.
     """
 
     steps: float
@@ -129,12 +129,12 @@ class AccuracyBench:
         return sorted({0, *near, last})
 
     def _timed(self, collisions: list[Collision], steps: float) -> float:
-        """Wall time of one collision [s]: that of all simultaneous collisions, divided by their number."""
+        """Processor time of one collision [s]: that of all simultaneous collisions, divided by their number."""
         self.bench.restart(collisions)
         whole = ceil(steps) + 1
-        began = perf_counter()
+        began = process_time()
         self.bench.simulation.step(whole)
-        return (perf_counter() - began) * steps / whole / len(self.velocity)
+        return (process_time() - began) * steps / whole / len(self.velocity)
 
     def _measured(
         self, numbers: np.ndarray, samples: np.ndarray, pair: int, time_step: float

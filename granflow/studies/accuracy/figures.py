@@ -54,7 +54,7 @@ def loglog(axes: Any, target: float | None = None, **settings: Any) -> None:
 
 
 def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None]:
-    """Draw the restitution error against wall time, and against the time step with fitted slopes.
+    """Draw the restitution error against processor time, and against the time step with fitted slopes.
 
     `target`: relative error, drawn as a dotted line. The result is the argument of `figures.draw_to`.
     """
@@ -70,7 +70,7 @@ def draw_work(lines: Sequence[StudyLine], target: float) -> Callable[[Any], None
         for axes in (work, steps):
             loglog(axes, target, ylim=(0.3 * LOWEST, HIGHEST))
             axes.set_ylabel("restitution error")
-        work.set(xlabel="wall time per collision (µs)", title="(a) work and precision")
+        work.set(xlabel="processor time per collision (µs)", title="(a) work and precision")
         steps.set(xlabel="time step / duration of the collision", title="(b) convergence", xlim=(5e-5, 0.4))
         figure.legend(*work.get_legend_handles_labels(), loc="outside lower center", ncols=2)
 

@@ -1,4 +1,4 @@
-"""Points of the two-particle study: errors and wall time of one kind of collision at one time step."""
+"""Points of the two-particle study: errors and processor time of one kind of collision at one time step."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
@@ -29,7 +29,7 @@ class StudyPoint:
     `steps`: duration of the collision over the time step. `share`: time step over the shorter of loading and unloading,
     as `numerics.time_step_fraction` of a scene. Errors are relative to the exact value; the energy error is the error
     of the final kinetic energy over the initial one. `*_error`: root mean square over the phases of first contact;
-    `*_error_worst`: maximum. `seconds_*`: wall time of one collision [s].
+    `*_error_worst`: maximum. `seconds_*`: processor time of one collision [s].
     """
 
     law: str
@@ -74,7 +74,7 @@ class StudyLine:
         return self._over_kinds(f"{quantity}_error")
 
     def seconds(self, which: str = "median") -> np.ndarray:
-        """Wall time per collision [s] (n,); `which`: median, min or max over the repeats."""
+        """Processor time per collision [s] (n,); `which`: median, min or max over the repeats."""
         return self._over_kinds(f"seconds_{which}")
 
     def kinds(self) -> list[list[StudyPoint]]:
@@ -124,9 +124,9 @@ def measured_line(
 
 
 def _points(bench: AccuracyBench, results: CollisionResults) -> list[StudyPoint]:
-    """One point per kind of collision, with errors over the phases (PHASES,) and wall times.
+    """One point per kind of collision, with errors over the phases (PHASES,) and processor times.
 
-    Wall times are equal for all kinds, because all collisions run simultaneously.
+    Processor times are equal for all kinds, because all collisions run simultaneously.
     """
     seconds = results.seconds
     shared = {"law": bench.studied_law.name, "precision": bench.precision,

@@ -23,7 +23,7 @@ class Requirement:
     """Requirement of a line for a restitution error within the target.
 
     `steps` per collision; `share`: largest `numerics.time_step_fraction` that suffices for every kind of collision;
-    `seconds`: wall time of one collision [s], median, minimum and maximum.
+    `seconds`: processor time of one collision [s], median, minimum and maximum.
     """
 
     line: StudyLine
@@ -61,23 +61,41 @@ def _share_within(points: Sequence[StudyPoint], target: float) -> float:
     return points[index].share if index is not None else 0.0
 
 
-def cheapest(requirements: Iterable[Requirement | None]) -> Requirement | None:
-    """Requirement of least cost for FOR_LAW; None without one."""
+def cheapest(requirements: Iterable[Requirement | None]) -> list[Requirement]:
+    """Requirement of least cost for FOR_LAW, and those whose ranges of costs overlap with its range."""
     able = [requirement for requirement in requirements if requirement is not None and requirement.line.law == FOR_LAW]
-    return min(able, key=lambda requirement: requirement.seconds[0], default=None)
+    able.sort(key=lambda requirement: requirement.seconds[0])
+    return [requirement for requirement in able if requirement.seconds[1] <= able[0].seconds[2]]
 
 
 def recommendation(lines: Sequence[StudyLine], target: float) -> str:
     """Concluding sentence of the study: the cheapest time step and precision with errors within the target."""
-    best = cheapest(requirement_of(line, target) for line in lines)
-    if best is None:
+    found = cheapest(requirement_of(line, target) for line in lines)
+    if not found:
         return f"No time step of this study limits the restitution error to {target:.3g} with {FOR_LAW}."
-    median, least, most = (MANY * each for each in best.seconds)
+    texts = [f"{_choice(each)}: {_cost(each)}" for each in found]
+    requested = f"For {100.0 * target:g} % error in restitution"
+    if len(found) > 1:
+        return (
+            f"{requested}, the cheapest choices are not distinguished by their costs per million collisions, which "
+            f"overlap: {'; '.join(texts)}. T is the collision time, costs are processor time."
+        )
     return (
-        f"For {100.0 * target:g} % error in restitution use dt = T/{best.steps:g}, where T is the collision time "
-        f"(time_step_fraction {best.share:.2g}), precision {best.line.precision}: "
-        f"it costs {median:.3g} s per million collisions ({least:.3g} to {most:.3g})."
+        f"{requested} use {_choice(found[0])}, where T is the collision time: it costs {_cost(found[0])} of processor "
+        "time per million collisions."
     )
+
+
+def _choice(requirement: Requirement) -> str:
+    """Time step and precision of a requirement."""
+    step = f"dt = T/{requirement.steps:g} (time_step_fraction {requirement.share:.2g})"
+    return f"{step}, precision {requirement.line.precision}"
+
+
+def _cost(requirement: Requirement) -> str:
+    """Median and range of the cost of a million collisions."""
+    median, least, most = (MANY * each for each in requirement.seconds)
+    return f"{median:.3g} s ({least:.3g} to {most:.3g})"
 
 
 def default_sentence(lines: Sequence[StudyLine], target: float) -> str:

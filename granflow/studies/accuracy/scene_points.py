@@ -15,13 +15,12 @@ from granflow.errors import GranflowError
 from granflow.studies.accuracy.axes import PRECISIONS
 from granflow.studies.accuracy.scene_runs import (
     STEP_FAMILIES,
+    KeptRuns,
     RunOutcome,
     SceneTask,
     StepFamily,
     common_quantities,
     phase_of,
-    restitution_error,
-    run_task,
     seeds_of,
 )
 
@@ -50,7 +49,7 @@ class ScenePoint:
     """Results of a scene with one time step and precision.
 
     `share`: time step over the shortest phase; `time_step` [s]; `values` and relative `errors` by quantity, empty after
-    an abort; `seconds` (seeds,): wall time of each run [s]; `simulated` time [s]; `stopped`: reason of an abort,
+    an abort; `seconds` (seeds,): processor time of each run [s]; `simulated` time [s]; `stopped`: reason of an abort,
     otherwise empty.
     """
 
@@ -67,7 +66,7 @@ class ScenePoint:
 
     @property
     def cost(self) -> tuple[float, float, float]:
-        """Wall time per simulated time [s/s]: median, minimum, maximum."""
+        """Processor time per simulated time [s/s]: median, minimum, maximum."""
         if self.stopped:
             return inf, inf, inf
         shared = self.seconds / self.simulated
@@ -109,15 +108,13 @@ class SceneStudy:
         return inside and max(point.restitution_error, point.errors[ENERGY_ERROR]) <= self.target
 
     @property
-    def best(self) -> ScenePoint | None:
-        """Cheapest point within the target; None without one.
+    def cheapest(self) -> list[ScenePoint]:
+        """The cheapest point within the target, and those whose costs overlap with its costs, over all seeds.
 
-        Of the points with a run that took no longer than the median of the cheapest one, that with the highest
-        precision: the others are faster by no more than the scatter of wall times.
+        With more than one, the measured costs do not decide between them. Empty if no point is within the target.
         """
         inside = sorted(filter(self.within_target, self.points), key=lambda point: point.cost[0])
-        similar = [point for point in inside if point.cost[1] <= inside[0].cost[0]]
-        return min(similar, key=lambda point: PRECISIONS.index(point.precision), default=None)
+        return [point for point in inside if point.cost[1] <= inside[0].cost[2]]
 
 
 @dataclass(frozen=True)
@@ -148,11 +145,13 @@ def measure_scene(
     report: Callable[[str], None] = lambda text: None,
     shares: Sequence[float] = SHARES,
     precisions: Sequence[str] = PRECISIONS,
+    kept: KeptRuns | None = None,
 ) -> SceneStudy:
     """Run the scene with every time step and precision, the finest first.
 
     `target`: relative error; `full`: more seeds and a finer reference; `shares`: time steps over the shortest phase.
-    `precisions` begin with f64. `report` receives progress messages.
+    `precisions` begin with f64. `report` receives progress messages. `kept`: runs of an earlier call, which are not
+    repeated.
 
     Raises SceneError for an invalid scene, GranflowError if the run with the finest time step aborts.
     """
@@ -161,32 +160,54 @@ def measure_scene(
     phase, own_share = phase_of(scene)
     seeds = seeds_of(scene, FULL_SEEDS if full else SEEDS)
     finest = REFERENCE * (FINER if full else 1.0)
-    runs: list[_Runs] = []
+    planned: list[tuple[str, StepFamily, float]] = []
     for precision in precisions:
         wanted = list(shares) if precision == "f64" else [s for s in shares if s in SINGLE_SHARES]
         settings = [(family, share) for family in STEP_FAMILIES for share in wanted]
         if precision == "f64":
             settings = [(STEP_FAMILIES[0], finest), *[(STEP_FAMILIES[0], finest / FINER)] * full, *settings]
-        for family, share in settings:
-            report(f"{family.name} time step, {share:g} of the shortest phase, {precision}, {len(seeds)} seeds")
-            runs.append(_run(task, family, share, phase, precision, seeds))
-            if runs[0].stopped:
-                raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
+        planned += [(precision, family, share) for family, share in settings]
+    progress = _Progress(len(planned) * len(seeds), report)
+    runs: list[_Runs] = []
+    for precision, family, share in planned:
+        runs.append(_run(task, family, share, phase, precision, seeds, kept or KeptRuns(None), progress))
+        if runs[0].stopped:
+            raise GranflowError(f"The run with the finest time step of this study aborts. {runs[0].stopped}")
     count = sum(group.count for group in scene.particles.values())
     return _study(runs, finest, scene.title, (own_share, own_share * phase), count, len(seeds), target)
 
 
+class _Progress:
+    """Numbers the runs of a study in its messages."""
+
+    def __init__(self, total: int, report: Callable[[str], None]) -> None:
+        self._total, self._report = total, report
+        self._number = 0
+
+    def next(self, text: str, is_kept: bool) -> None:
+        """Report that the next run begins, or that its outcome is kept from an earlier command."""
+        self._number += 1
+        self._report(f"run {self._number} of {self._total}: {text}{', kept' * is_kept}")
+
+
 def _run(
-    task: SceneTask, family: StepFamily, share: float, phase: float, precision: str, seeds: Sequence[int]
-) -> _Runs:
+    task: SceneTask, family: StepFamily, share: float, phase: float, precision: str, seeds: Sequence[int],
+    kept: KeptRuns, progress: _Progress,
+) -> _Runs:  # fmt: skip
     """Run all seeds and measure the restitution error.
 
     `share`: time step over the shortest phase; `phase` [s]. After an abort the restitution error is infinite. The time
     step of the adaptive family is that of the plan, which other limits can shorten.
     """
     stepped = task.with_overrides(f"run.precision={precision}", *family.overrides(share, phase))
-    outcomes = [run_task(stepped.with_overrides(f"seed={seed}")) for seed in seeds]
-    error = inf if outcomes[0].stopped else restitution_error(stepped)
+    outcomes = []
+    for seed in seeds:
+        seeded = stepped.with_overrides(f"seed={seed}")
+        known = kept.outcome(seeded)
+        text = f"{family.name} time step, {share:g} of the shortest phase, {precision}, seed {seed}"
+        progress.next(text, known is not None)
+        outcomes.append(known or kept.run(seeded))
+    error = inf if outcomes[0].stopped else kept.restitution_error(stepped)
     time_step = plan_for(stepped.scene()).time_step if family.name == "adaptive" else share * phase
     return _Runs(family.name, precision, share, time_step, error, outcomes)
 

@@ -19,18 +19,38 @@ LOWEST = 1e-7
 
 def scene_recommendation(study: SceneStudy) -> str:
     """Concluding sentence of the study."""
-    best, requested = study.best, f"{100.0 * study.target:g} % error in restitution"
-    if best is None:
+    requested = f"{100.0 * study.target:g} % error in restitution"
+    if not study.cheapest:
         return f"No time step of this study satisfies {requested} with all other errors within that limit or the noise."
-    median, least, most = best.cost
-    step = f"dt = {best.time_step:.3g} s (time_step_fraction {best.share:g})"
-    if best.family != "fixed":
-        step = f"run.time_step {best.family} with time_step_fraction {best.share:g}"
-    return (
-        f"For {requested} use {step}, precision {best.precision}: it costs {median:.3g} s per simulated second of this "
-        f"scene with {study.particle_count} particles ({least:.3g} to {most:.3g}). The unmodified scene uses "
-        f"dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g})."
+    best, *others = study.cheapest
+    own = (
+        f"The unmodified scene uses dt = {study.own_time_step:.3g} s (time_step_fraction {study.own_share:.3g}). "
+        "Costs are processor time."
     )
+    if others:
+        found = "; ".join(f"{_step(point)}, {_cost(point)}" for point in study.cheapest)
+        return (
+            f"For {requested}, the cheapest choices are not distinguished by their costs per simulated second, which "
+            f"overlap: {found}. Take any of them, or repeat on an idle machine with more seeds (--full). {own}"
+        )
+    return (
+        f"For {requested} use {_step(best)}: it costs {_cost(best)} per simulated second of this "
+        f"scene with {study.particle_count} particles. {own}"
+    )
+
+
+def _step(point: ScenePoint) -> str:
+    """Time step and precision of a point, as keys of a scene."""
+    step = f"dt = {point.time_step:.3g} s (time_step_fraction {point.share:g})"
+    if point.family != "fixed":
+        step = f"run.time_step {point.family} with time_step_fraction {point.share:g}"
+    return f"{step}, precision {point.precision}"
+
+
+def _cost(point: ScenePoint) -> str:
+    """Median and range of the cost of a point over the seeds."""
+    median, least, most = point.cost
+    return f"{median:.3g} s ({least:.3g} to {most:.3g})"
 
 
 def noise_sentence(study: SceneStudy) -> str:
@@ -84,7 +104,7 @@ def _row(study: SceneStudy, point: ScenePoint) -> tuple[str, ...]:
 def scene_columns(study: SceneStudy) -> dict[str, np.ndarray]:
     """Columns of the CSV, one row per point; nan for aborted runs.
 
-    Values in SI units, errors, noise and spread relative, costs in wall time per simulated time [s/s].
+    Values in SI units, errors, noise and spread relative, costs in processor time per simulated time [s/s].
     """
     rows = []
     for point in study.points:
@@ -119,7 +139,7 @@ def write_scene(out: Path, study: SceneStudy) -> None:
 
 
 def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
-    """Draw every error against wall time, for all precisions."""
+    """Draw every error against processor time, for all precisions."""
 
     def draw(figure: Any) -> None:
         from matplotlib.ticker import LogLocator
@@ -130,7 +150,7 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
                 _draw_errors(below if name in study.quantities else above, study, name, precision, color)
         loglog(above, study.target, title="(a) restitution and energy budget")
         loglog(below, study.target, title="(b) bed quantities and their noise")
-        below.set_xlabel("wall time (s per simulated s); filled: adaptive time step")
+        below.set_xlabel("processor time (s per simulated s); filled: adaptive time step")
         for axes in (above, below):
             axes.set_ylabel("relative error")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
@@ -142,7 +162,7 @@ def draw_scene(study: SceneStudy) -> Callable[[Any], None]:
 
 
 def _draw_errors(axes: Any, study: SceneStudy, name: str, precision: str, color: str) -> None:
-    """Plot one error of one precision against wall time; thin line: noise in double precision.
+    """Plot one error of one precision against processor time; thin line: noise in double precision.
 
     Points with fixed and with adaptive time step form two lines.
     """

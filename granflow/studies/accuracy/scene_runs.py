@@ -1,15 +1,21 @@
-"""Runs of one scene with several time steps and seeds: values and wall time."""
+"""Runs of one scene with several time steps and seeds: values and processor time."""
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
 
 from granflow import RunError, Scene, SceneError, Simulation, Snapshot, load_scene, on_interval, plan_for
+from granflow.io.atomic_files import write_text
 from granflow.studies.restitution import QUICK_VELOCITIES
 from granflow.studies.restitution import measure as measure_restitution
+from granflow.studies.run_processes.checked import run_identity
+from granflow.studies.run_processes.outcome import read_json
 
 MAX_PARTICLES = 1000
 """Particle count to which a scene is reduced, unless all particles are requested."""
@@ -62,7 +68,8 @@ class SceneTask:
 class RunOutcome:
     """Result of a run, or the reason of its abort (`stopped`).
 
-    `values` by quantity; `seconds`: wall time of neighbor list, forces and integration [s]; `simulated` time [s].
+    `values` by quantity; `seconds`: processor time of the run without compilation [s], which other programs on the
+    machine change less than the wall time; `simulated` time [s].
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -136,7 +143,10 @@ def run_task(task: SceneTask) -> RunOutcome:
     observer = on_interval(interval, means.update, ("particles", "totals"))
     try:
         with Simulation(scene, observers=[observer]) as simulation:
+            timing = simulation.engine.timing
+            began = process_time() - timing.compile
             result = simulation.run(until=task.until, within_stages=True)
+            seconds = process_time() - timing.compile - began
     except SceneError as error:
         return RunOutcome(stopped=str(error).partition(": ")[2])  # the prefix names an override of this study
     except RunError as error:
@@ -144,8 +154,53 @@ def run_task(task: SceneTask) -> RunOutcome:
     numbers = result.numbers
     flows = {f"mass_flow.{name}": readings["mass_flow"] for name, readings in result.flow_meters.items()}
     values = {"energy_error": numbers["energy_error"], **means.values(), **flows}
-    seconds = numbers["step_count"] / numbers["steps_per_second"]
     return RunOutcome(values, seconds, numbers["step_count"], numbers["simulated_time"])
+
+
+class KeptRuns:
+    """Outcomes of the runs of a study in a file, so that a study that was stopped continues with the missing runs.
+
+    `path`: JSON file; None: in memory only. The key of an outcome is the identity of its run: resolved scene, contents
+    of its inputs, version of granflow, end time. A damaged file, or a damaged outcome, counts as missing.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        content = read_json(path) if path is not None else None
+        self._content: dict[str, Any] = content if isinstance(content, dict) else {}
+
+    def outcome(self, task: SceneTask) -> RunOutcome | None:
+        """The outcome of a task; None if it has not been run."""
+        found = self._content.get(self._key(task))
+        if not isinstance(found, dict) or set(found) != {each.name for each in fields(RunOutcome)}:
+            return None
+        return RunOutcome(**found)
+
+    def run(self, task: SceneTask) -> RunOutcome:
+        """Run a task with `run_task` and keep its outcome."""
+        found = run_task(task)
+        self._keep(self._key(task), asdict(found))
+        return found
+
+    def restitution_error(self, task: SceneTask) -> float:
+        """The kept `restitution_error` of a task, or that of now."""
+        key = f"restitution {self._key(task)}"
+        found = self._content.get(key)
+        if not isinstance(found, float):
+            found = restitution_error(task)
+            self._keep(key, found)
+        return found
+
+    def _key(self, task: SceneTask) -> str:
+        text = f"{run_identity(task.scene(), 'cpu')} until {task.until} with {SAMPLES} samples"
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _keep(self, key: str, value: Any) -> None:
+        """Add a value to the file. Raises OSError if it cannot be written."""
+        self._content[key] = value
+        if self._path is not None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(self._path, json.dumps(self._content, indent=1) + "\n")
 
 
 def restitution_error(task: SceneTask) -> float:

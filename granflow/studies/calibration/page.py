@@ -8,13 +8,13 @@ import numpy as np
 from granflow.fields import unit_of
 from granflow.io.atomic_files import write_text
 from granflow.scene.schema.given_numbers import in_unit
-from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of
+from granflow.studies.calibration.results import CalibrationResult, runs_of, state_of, warnings_of_trial
 from granflow.studies.calibration.schema import CalibrationInput
 from granflow.studies.figures import COLORS
 from granflow.studies.page import page_text
-from granflow.studies.report.plots import Plot, library
+from granflow.studies.report.plots import Plot, escaped, library
 from granflow.studies.sweep.axes import axis, layout, plain, row_of_axes, short_names
-from granflow.studies.tables import PageTable
+from granflow.studies.tables import PageTable, without_empty_ends
 
 PAGE = "calibration.html"
 
@@ -85,7 +85,7 @@ def _losses(result: CalibrationResult, calibration: CalibrationInput) -> Plot:
                     "line": {"width": 1, "color": "#999999"}}}
         for k, (name, each) in enumerate(calibration.parameters.items())
     ]  # fmt: skip
-    axes = row_of_axes(_labels(calibration), "loss")
+    axes = row_of_axes(list(map(escaped, _labels(calibration))), "loss")
     for key, each in axes.items():
         is_log = key.startswith("y") or list(calibration.parameters.values())[int(key[5:] or 1) - 1].scale == "log"
         each["type"] = "log" if is_log else "linear"
@@ -105,7 +105,9 @@ def _labels(calibration: CalibrationInput) -> list[str]:
 def _hover(trial: Any, calibration: CalibrationInput) -> str:
     """Text at the pointer: number, loss, parameters and run directories of a trial."""
     short = short_names(list(calibration.parameters))
-    values = [f"{short[name]} = {each.text(trial.params[name])}" for name, each in calibration.parameters.items()]
+    values = [
+        f"{escaped(short[name])} = {each.text(trial.params[name])}" for name, each in calibration.parameters.items()
+    ]
     runs = [f"runs/{name}" for name in runs_of(trial).values()]
     return "<br>".join([f"trial {trial.number}: loss {trial.value:.4g}", *values, *runs])
 
@@ -117,7 +119,7 @@ def _importance(result: CalibrationResult, calibration: CalibrationInput) -> Plo
         return None
     data = {
         "type": "bar", "marker": {"color": COLORS[0]}, "y": [plain(share) for share in shares],
-        "x": list(short_names(list(calibration.parameters)).values()),
+        "x": list(map(escaped, short_names(list(calibration.parameters)).values())),
     }  # fmt: skip
     axes = {"xaxis": axis("", type="category"), "yaxis": axis("share")}
     caption = (
@@ -141,10 +143,8 @@ def _trials(result: CalibrationResult, calibration: CalibrationInput) -> PageTab
         targets = [
             f"{in_unit(simulated[name], unit):.4g}" if name in simulated else "–" for name, unit in units.items()
         ]
-        end = (" ".join(runs_of(trial).values()), trial.user_attrs.get("reason", ""))
-        rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *end))
+        ends = " ".join(runs_of(trial).values()), trial.user_attrs.get("reason", ""), " ".join(warnings_of_trial(trial))
+        rows.append((str(trial.number), state_of(trial), loss, *parameters, *targets, *ends))
     targets = [f"{name} [{unit}]" if unit else name for name, unit in shown.items()]
-    heads = ["trial", "state", "loss", *_labels(calibration), *targets, "runs", "reason"]
-    if not any(row[-1] for row in rows):
-        heads, rows = heads[:-1], [row[:-1] for row in rows]
-    return PageTable(heads, rows)
+    heads = ["trial", "state", "loss", *_labels(calibration), *targets, "runs", "reason", "warnings"]
+    return without_empty_ends(heads, rows)

@@ -71,19 +71,28 @@ class BestTarget(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """Best values, targets, sentences on conflicts, and all trials of Optuna; `loss`: the smallest one."""
+    """Best values, targets, sentences on conflicts, and all trials of Optuna; `loss`: the smallest one.
+
+    `warnings`: of the runs of the best trial.
+    """
 
     loss: float
     parameters: tuple[BestValue, ...]
     targets: tuple[BestTarget, ...]
     conflicts: tuple[str, ...]
     trials: tuple[Any, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on parameters that are not identified, on scatter above a tolerance, and on conflicts."""
+        """Sentences on parameters that are not identified, on scatter above a tolerance, on conflicts, and warnings."""
         unidentified = [each.not_identified for each in self.parameters if each.not_identified]
-        return (*unidentified, *(each.noise for each in self.targets if each.noise), *self.conflicts)
+        return (
+            *unidentified,
+            *(each.noise for each in self.targets if each.noise),
+            *self.conflicts,
+            *(f"Warning of the best trial, {sentence}" for sentence in self.warnings),
+        )
 
     @property
     def is_met(self) -> bool:
@@ -101,8 +110,9 @@ def result_of(search: Search, targets: Mapping[str, Measured]) -> CalibrationRes
     trials = tuple(search.study.get_trials(deepcopy=False))
     parameters = tuple(_best_values(search, targets, completed, best))
     return CalibrationResult(
-        completed[best].value, parameters, tuple(found), tuple(_conflicts(targets, completed)), trials
-    )
+        completed[best].value, parameters, tuple(found), tuple(_conflicts(targets, completed)), trials,
+        warnings_of_trial(completed[best]),
+    )  # fmt: skip
 
 
 def _best_values(
@@ -204,7 +214,10 @@ def _copy_inputs(scene: Scene, out: Path) -> None:
 
 
 def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
-    """Columns of `trials.csv`: number, state, loss, parameters, simulated values, reason, runs; None if missing."""
+    """Columns of `trials.csv`: number, state, loss, parameters, simulated values, reason, warnings, runs.
+
+    None if missing.
+    """
     names, targets = [each.name for each in result.parameters], [each.name for each in result.targets]
     found: dict[str, list[Any]] = {"trial": [trial.number for trial in result.trials]}
     found["state"] = [state_of(trial) for trial in result.trials]
@@ -214,6 +227,7 @@ def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
     for name in targets:
         found[f"target.{name}"] = [trial.user_attrs.get("simulated", {}).get(name) for trial in result.trials]
     found["reason"] = [trial.user_attrs.get("reason") for trial in result.trials]
+    found["warnings"] = [" ".join(warnings_of_trial(trial)) for trial in result.trials]
     found["runs"] = [" ".join(runs_of(trial).values()) for trial in result.trials]
     return found
 
@@ -221,6 +235,11 @@ def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:
 def runs_of(trial: Any) -> dict[str, str]:
     """Names of the run directories of a trial by scene."""
     return {key[4:]: value for key, value in trial.user_attrs.items() if key.startswith("run.")}
+
+
+def warnings_of_trial(trial: Any) -> tuple[str, ...]:
+    """Warnings of the runs of a trial, each with the name of its scene."""
+    return tuple(trial.user_attrs.get("warnings", ()))
 
 
 def state_of(trial: Any) -> str:

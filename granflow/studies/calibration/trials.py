@@ -21,7 +21,7 @@ from granflow.studies.calibration.targets import (
     standard_errors,
 )
 from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
-from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, reason_without
+from granflow.studies.run_processes.outcome import NOT_RUN, Outcome, reason_without, warnings_of
 from granflow.studies.run_processes.process import execute
 from granflow.studies.run_processes.settings import relocated
 
@@ -110,6 +110,7 @@ class TrialRunner:
         found: dict[str, list[float]] = {}
         shown: dict[str, float] = {}
         errors: dict[str, list[float]] = {}
+        warnings: list[str] = []
         for number, scene in enumerate(self.scenes):
             run = self._checked(scene, trial.params)
             trial.set_user_attr(f"run.{scene}", run.directory.name)
@@ -119,6 +120,8 @@ class TrialRunner:
             except Unpromising:
                 self._record(trial, found, shown, errors)
                 raise
+            warnings += [f"{scene}: {sentence}" for sentence in warnings_of(run.directory)]
+            trial.set_user_attr("warnings", warnings)
             for name, measured in self._targets_of(scene).items():
                 values = simulated(measured, run.directory)
                 if not np.isfinite(values).all():

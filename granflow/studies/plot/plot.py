@@ -11,7 +11,7 @@ from granflow.errors import GranflowError
 from granflow.studies.figures import COLORS, FULL_WIDTH, draw_to, stacked_panels
 from granflow.studies.page import write_page
 from granflow.studies.plot.curves import Panel
-from granflow.studies.report.plots import DASHES, Plot, curve_layout, library, plain
+from granflow.studies.report.plots import DASHES, Plot, curve_layout, escaped, library, plain
 from granflow.studies.report.series import thinned
 from granflow.visible_text import visible
 
@@ -108,11 +108,12 @@ def _plot(panel: Panel, logarithmic: str) -> Plot:
         x, y = thinned(curve.x[known], curve.y[known])
         color, dash = COLORS[number % len(COLORS)], DASHES[number // len(COLORS)]
         data.append(
-            {"type": "scatter", "mode": "lines" if len(x) > 1 else "markers", "name": visible(curve.name),
+            {"type": "scatter", "mode": "lines" if len(x) > 1 else "markers", "name": escaped(visible(curve.name)),
              "x": plain(x), "y": plain(y),
              "line": {"color": color, "width": 1.8, "dash": dash}}
         )  # fmt: skip
-    layout = curve_layout(panel.x_title, panel.y_title, len(data) > 1) | {"hovermode": "closest", "height": 460}
+    x_title, y_title = escaped(visible(panel.x_title)), escaped(visible(panel.y_title))
+    layout = curve_layout(x_title, y_title, len(data) > 1) | {"hovermode": "closest", "height": 460}
     for axis in logarithmic:
         layout[f"{axis}axis"]["type"] = "log"
     return Plot(f"{panel.y_title} over {panel.x_title}", {"data": data, "layout": layout})

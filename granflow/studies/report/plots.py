@@ -1,6 +1,7 @@
 """Interactive plots, drawn by plotly inside the page, without a network connection."""
 
 from collections.abc import Sequence
+from html import escape
 from math import inf
 from typing import Any, NamedTuple
 
@@ -65,7 +66,7 @@ def plot_of(group: PlotGroup, series: TimeSeriesTable) -> Plot:
         for look, column in zip(_looks(group.columns), group.columns, strict=True)
     ]
     unit = f" ({shown})" if shown else ""
-    layout = {**curve_layout("time (s)", group.title + unit, len(curves) > 1), **_stage_marks(series)}
+    layout = {**curve_layout("time (s)", escaped(group.title + unit), len(curves) > 1), **_stage_marks(series)}
     return Plot(f"{group.title[0].upper()}{group.title[1:]}{unit} over time", {"data": curves, "layout": layout})
 
 
@@ -114,12 +115,17 @@ def _curve(
     return {
         "type": "scatter",
         "mode": "lines" if len(time) > 1 else "markers",
-        "name": column.text,
+        "name": escaped(column.text),
         "x": plain(time),
         "y": plain(values),
         "hovertemplate": f"%{{y:.5~g}} {unit}",
         **look,
     }
+
+
+def escaped(text: str) -> str:
+    """Text of the input for plotly, which reads tags, links and entities in titles, names and values."""
+    return escape(text, quote=False)
 
 
 def plain(values: np.ndarray) -> list[float]:
@@ -138,7 +144,7 @@ def _stage_marks(series: TimeSeriesTable) -> dict[str, Any]:
             for time, _ in stages
         ],
         "annotations": [
-            {"x": time, "y": 1, "yref": "paper", "text": name, "showarrow": False, "xanchor": "left",
+            {"x": time, "y": 1, "yref": "paper", "text": escaped(name), "showarrow": False, "xanchor": "left",
              "yanchor": "bottom", "font": {"size": 11}, "yshift": STAGE_ROW * row}
             for (time, name), row in zip(stages, rows, strict=True)
         ],

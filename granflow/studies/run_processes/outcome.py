@@ -108,6 +108,15 @@ def numbers_of(directory: Path) -> dict[str, float]:
     return {} if result is None else result.numbers
 
 
+def warnings_of(directory: Path) -> tuple[str, ...]:
+    """The warnings of a completed run; empty if it has no result."""
+    try:
+        result = read_run(directory).result
+    except GranflowError:
+        return ()
+    return () if result is None else tuple(map(str, result.warnings))
+
+
 def reason_without(quantity: str, directory: Path) -> str:
     """Why a completed run has no number for a quantity: that it is NaN, with the warnings of the run on its metric."""
     if quantity not in numbers_of(directory):

@@ -1,5 +1,6 @@
 """The page of a sweep."""
 
+from dataclasses import replace
 from math import floor, inf, log10
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from granflow.studies.sweep.sensitivity import sobol_indices
 from granflow.studies.sweep.series_overlay import NamedRun, series_overlay
 from granflow.studies.sweep.shown import ShownTable, shown
 from granflow.studies.sweep.table import SweepTable
-from granflow.studies.tables import PageTable
+from granflow.studies.tables import PageTable, without_empty_ends
 
 PAGE = "sweep.html"
 NO_LIBRARY = "Plots require plotly, which is not installed: pip install plotly, then repeat the command."
@@ -23,6 +24,7 @@ def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
     """Write `sweep.html` to the directory of the sweep; without plotly, it has tables only."""
     script = library()
     found = shown(sweep, table)
+    drawn = replace(found, in_plots=True)
     has_plots = bool(script and plots.usable_rows(found))
     indices, why_none = sobol_indices(sweep, table)
     gridded = isinstance(sweep.sampling, Grid)
@@ -33,13 +35,13 @@ def write_sweep_page(out: Path, sweep: SweepInput, table: SweepTable) -> None:
         lead=sweep.description or f"{len(table.rows)} points of {sweep.scene}.",
         statuses=_statuses(table),
         no_library="" if script else NO_LIBRARY,
-        effects=[plots.main_effects(found, each) for each in found.quantities] if has_plots else [],
-        heat_maps=plots.heat_maps(found) if has_plots and gridded else [],
-        parallel=plots.parallel_coordinates(found) if has_plots else None,
-        matrix=plots.scatter_matrix(found) if has_plots else None,
-        sobol=[plots.sobol_plot(found, each) for each in indices] if script else [],
+        effects=[plots.main_effects(drawn, each) for each in found.quantities] if has_plots else [],
+        heat_maps=plots.heat_maps(drawn) if has_plots and gridded else [],
+        parallel=plots.parallel_coordinates(drawn) if has_plots else None,
+        matrix=plots.scatter_matrix(drawn) if has_plots else None,
+        sobol=[plots.sobol_plot(drawn, each) for each in indices] if script else [],
         why_no_sobol=why_none,
-        overlay=series_overlay(_named_runs(found), table.quantities, _named_by(found)) if script else None,
+        overlay=series_overlay(_named_runs(drawn), table.quantities, _named_by(found)) if script else None,
         points=_points(found),
     )
     write_text(out / PAGE, text)
@@ -73,17 +75,15 @@ def _statuses(table: SweepTable) -> PageTable:
 
 
 def _points(table: ShownTable) -> PageTable:
-    """All points: parameters, status, quantities with standard errors, run directories, reasons if there are any."""
+    """All points: parameters, status, quantities with standard errors, run directories, reasons and warnings if any."""
     rows = []
     for row in table.rows:
         values = [level_text(table.value(row, name)) for name in table.parameters]
         numbers = [with_error(table.mean(row, name), table.standard_error(row, name)) for name in table.quantities]
-        rows.append([*values, row.outcome.status, *numbers, " ".join(row.directories), row.outcome.reason])
+        ends = (" ".join(row.directories), row.outcome.reason, row.warnings)
+        rows.append([*values, row.outcome.status, *numbers, *ends])
     parameters, quantities = map(table.parameter_label, table.parameters), map(table.label, table.quantities)
-    heads = [*parameters, "status", *quantities, "runs", "reason"]
-    if not any(row[-1] for row in rows):
-        heads, rows = heads[:-1], [row[:-1] for row in rows]
-    return PageTable(heads, rows)
+    return without_empty_ends([*parameters, "status", *quantities, "runs", "reason", "warnings"], rows)
 
 
 FIXED_POINT = (1e-4, 1e3)

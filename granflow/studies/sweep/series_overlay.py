@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
 from granflow.studies.figures import COLORS
-from granflow.studies.report.plots import DASHES, Plot, shown_unit
+from granflow.studies.report.plots import DASHES, Plot, escaped, shown_unit
 from granflow.studies.report.series import thinned
 from granflow.studies.sweep.axes import axis, layout, plain
 
@@ -43,7 +43,7 @@ def series_overlay(runs: Sequence[NamedRun], first: Sequence[str], named_by: str
     data = [
         {"type": "scatter", "mode": "lines", "name": run.name, "x": x, "y": y,
          "line": {"color": COLORS[k % len(COLORS)], "dash": DASHES[k // len(COLORS) % len(DASHES)]},
-         "hovertemplate": f"%{{y:.4~g}}<br>{run.hover}<extra></extra>"}
+         "hovertext": run.hover, "hovertemplate": "%{y:.4~g}<br>%{hovertext}<extra></extra>"}
         for k, (run, (x, y)) in enumerate(zip(found, curves[columns[0].name], strict=True))
     ]  # fmt: skip
     menu = {
@@ -79,8 +79,9 @@ def _curve(series: TimeSeriesTable, name: str) -> tuple[list[Any], list[Any]]:
 def _button(column: SeriesColumn, curves: Sequence[tuple[list[Any], list[Any]]]) -> dict[str, Any]:
     """Entry of the menu: shows the curves of one column."""
     data = {"x": [x for x, _ in curves], "y": [y for _, y in curves]}
-    return {"method": "update", "label": column.text, "args": [data, {"yaxis.title.text": _title(column)}]}
+    return {"method": "update", "label": escaped(column.text), "args": [data, {"yaxis.title.text": _title(column)}]}
 
 
 def _title(column: SeriesColumn) -> str:
-    return f"{column.text} ({shown_unit(column.unit)[1]})" if column.unit else column.text
+    text = escaped(column.text)
+    return f"{text} ({shown_unit(column.unit)[1]})" if column.unit else text

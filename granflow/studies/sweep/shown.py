@@ -6,6 +6,7 @@ from typing import Any
 
 from granflow.fields import unit_of
 from granflow.scene.schema.given_numbers import common_unit, in_unit
+from granflow.studies.report.plots import escaped
 from granflow.studies.sweep.axes import level_text, short_names
 from granflow.studies.sweep.schema import SweepInput, ValueList, ValueRange
 from granflow.studies.sweep.table import PointRow, SweepTable
@@ -16,12 +17,13 @@ class ShownTable:
     """A sweep whose numbers are in the units of the page.
 
     `units`: unit in which the sweep file gives the values of each parameter; empty: SI. `logarithmic`: parameters with
-    `scale: log`.
+    `scale: log`. `in_plots`: names and values are escaped, because plotly reads markup; tables of a page are not.
     """
 
     table: SweepTable
     units: Mapping[str, str]
     logarithmic: frozenset[str]
+    in_plots: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -41,7 +43,11 @@ class ShownTable:
     def value(self, row: PointRow, parameter: str) -> Any:
         """The value of a parameter; text unchanged."""
         found = row.point.values[parameter]
-        return in_unit(found, self.units[parameter]) if isinstance(found, float) else found
+        return in_unit(found, self.units[parameter]) if isinstance(found, float) else self._text(found)
+
+    def _text(self, value: Any) -> Any:
+        """A text as the page shows it; other values unchanged."""
+        return escaped(value) if self.in_plots and isinstance(value, str) else value
 
     def mean(self, row: PointRow, quantity: str) -> float:
         """Mean of a quantity over the seeds."""
@@ -53,11 +59,11 @@ class ShownTable:
 
     def short_name(self, parameter: str) -> str:
         """The last keys of the path of a parameter."""
-        return short_names(self.parameters)[parameter]
+        return str(self._text(short_names(self.parameters)[parameter]))
 
     def parameter_label(self, parameter: str) -> str:
         """Short name of a parameter with its unit, for an axis."""
-        return _with_unit(self.short_name(parameter), self.units[parameter])
+        return _with_unit(self.short_name(parameter), str(self._text(self.units[parameter])))
 
     def label(self, quantity: str) -> str:
         """Name of a quantity with its unit."""

@@ -12,7 +12,16 @@ from granflow.fields import unit_of
 from granflow.io.atomic_files import replacing
 from granflow.io.tables import write_table
 from granflow.studies.run_processes.checked import CheckedRun
-from granflow.studies.run_processes.outcome import DONE, REFUSED, UNFINISHED, Outcome, numbers_of, reason_without, worst
+from granflow.studies.run_processes.outcome import (
+    DONE,
+    REFUSED,
+    UNFINISHED,
+    Outcome,
+    numbers_of,
+    reason_without,
+    warnings_of,
+    worst,
+)
 from granflow.studies.run_processes.quantities import error_name
 from granflow.studies.sweep.design import DesignPoint
 
@@ -22,11 +31,12 @@ STANDARD_ERROR = "standard_error"
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run of a point: `run` is None if the point was refused before; numbers by name, if the run has ended."""
+    """One run of a point: `run` is None if the point was refused before; numbers and warnings, if the run has ended."""
 
     run: CheckedRun | None
     outcome: Outcome
     numbers: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -40,6 +50,11 @@ class PointRow:
     def outcome(self) -> Outcome:
         """The most severe status of the runs, all reasons, and the sum of the seconds."""
         return worst(each.outcome for each in self.runs)
+
+    @property
+    def warnings(self) -> str:
+        """The different warnings of the runs."""
+        return " ".join(dict.fromkeys(sentence for each in self.runs for sentence in each.warnings))
 
     def mean(self, name: str) -> float:
         """Mean of a number over the seeds whose runs have it; nan without."""
@@ -81,7 +96,7 @@ class SweepTable:
         return all(row.outcome.status == DONE for row in self.rows)
 
     def columns(self) -> dict[str, list[Any]]:
-        """Columns of `sweep.csv`: parameters, status, reason, seconds, quantities, run directories.
+        """Columns of `sweep.csv`: parameters, status, reason, warnings, seconds, quantities, run directories.
 
         With several seeds, each quantity is the mean, followed by its standard error; with one seed, the standard error
         follows the quantities of which the runs give one. None for missing numbers.
@@ -90,6 +105,7 @@ class SweepTable:
         found: dict[str, list[Any]] = {name: [row.point.values[name] for row in self.rows] for name in self.parameters}
         found["status"] = [each.status for each in outcomes]
         found["reason"] = [each.reason for each in outcomes]
+        found["warnings"] = [row.warnings for row in self.rows]
         found["seconds"] = [_cell(each.seconds) for each in outcomes]
         for name in self.quantities:
             found[label(name)] = [_cell(row.mean(name)) for row in self.rows]
@@ -100,12 +116,13 @@ class SweepTable:
         return found
 
     def run_columns(self) -> dict[str, list[Any]]:
-        """Columns of `runs.csv`: parameters, seed, status, reason, seconds, quantities, run directory."""
+        """Columns of `runs.csv`: parameters, seed, status, reason, warnings, seconds, quantities, run directory."""
         pairs = [(row.point, each) for row in self.rows for each in row.runs]
         found: dict[str, list[Any]] = {name: [point.values[name] for point, _ in pairs] for name in self.parameters}
         found["seed"] = [each.run.seed if each.run else None for _, each in pairs]
         found["status"] = [each.outcome.status for _, each in pairs]
         found["reason"] = [each.outcome.reason for _, each in pairs]
+        found["warnings"] = [" ".join(each.warnings) for _, each in pairs]
         found["seconds"] = [_cell(each.outcome.seconds) for _, each in pairs]
         for name in self.quantities:
             found[label(name)] = [_cell(each.numbers.get(name, nan)) for _, each in pairs]
@@ -134,7 +151,8 @@ def _run_row(run: CheckedRun | str, outcomes: Mapping[str, Outcome], quantities:
     numbers = numbers_of(run.directory)
     without = [name for name in quantities if not isfinite(numbers.get(name, nan))]
     reasons = [f"runs/{run.directory.name}: {reason_without(name, run.directory)}" for name in without]
-    return RunRow(run, replace(outcome, reason=" ".join(filter(None, [outcome.reason, *reasons]))), numbers)
+    reason = " ".join(filter(None, [outcome.reason, *reasons]))
+    return RunRow(run, replace(outcome, reason=reason), numbers, warnings_of(run.directory))
 
 
 def write_tables(out: Path, table: SweepTable) -> None:
