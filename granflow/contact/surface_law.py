@@ -2,15 +2,21 @@
 
 In addition to the members of `contact` for all models, see `law`, the struct has for the first particle of the pair:
 
-    normal, normal_half  unit normal toward the first particle now, and the mean of the previous and the present normal
+    normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the time of the
+                         velocities, divided by its component along n: p . n = 1
     normal_load          force [N] that presses the surfaces together: normal force without attraction
     stiffness            no-slip tangential stiffness [N/m]
     stiffness_ratio      ratio of the previous to the present stiffness
-    slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s]; tangential laws
+    slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the present contact
+                         plane; tangential laws
     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting laws
-    rolling_rate         relative angular velocity [rad/s]; rolling and twisting laws
+    rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
     inertia_eff          effective moment of inertia [kg m2]; rolling laws
     longest_time_step    longest time step of the run [s]; rolling laws
+
+A law that integrates a rate over the step takes its components with p: along the normal `rate.dot(normal_half)`, in the
+contact plane `in_contact_plane(rate, normal, normal_half)`. The normal n is half a step later than the rate, so that a
+part of the rotation of the pair would be integrated as slip, rolling or twist.
 """
 
 from collections.abc import Mapping
@@ -25,6 +31,23 @@ from granflow.device_functions import ti
 
 SurfaceState: TypeAlias = SimpleNamespace
 """Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by name."""
+
+
+@ti.func
+def in_contact_plane(vector, normal, normal_half):
+    """Component of a vector in the contact plane at the half step, rotated with the plane to the present one.
+
+        u - (u . n) p
+
+    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p, with a
+    relative error of the square of the angle between them; the component along p vanishes in it as well.
+    """
+    return vector - vector.dot(normal) * normal_half
+
+
+def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.ndarray:
+    """Reference implementation of `in_contact_plane` in numpy."""
+    return vector - np.vdot(vector, contact.normal) * contact.normal_half
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ from granflow.kernel_language import ti
 EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
 """Relative rounding error of each type."""
 
+SAME_DIRECTION = 1e-6
+"""Largest sine of the angle between two normals that count as equal; above rounding in float32."""
+
 
 @ti.func
 def triangle_range(mesh: ti.template(), w, point):
@@ -59,6 +62,24 @@ def from_nearest(mesh: ti.template(), t, point):
             nearest, from_edge_nearest = from_edge.norm(), from_edge
     if over == 0:
         found = from_edge_nearest
+    return found
+
+
+@ti.func
+def normal_near(mesh: ti.template(), t, point, normal):
+    """Unit normal at a point near a contact of triangle t with this normal.
+
+    On the face it is that of the contact, although the triangle may own no contact of the point: the next triangle of a
+    flat surface has the same normal. Near an edge or a vertex it is the direction from the triangle.
+
+    Reads:  as `from_nearest`
+    """
+    found = normal
+    if normal.cross(mesh.normal[t]).norm_sqr() > ti.static(SAME_DIRECTION * SAME_DIRECTION):
+        separation = from_nearest(mesh, t, point)
+        distance = separation.norm()
+        if distance > 0.0:
+            found = separation / distance
     return found
 
 

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.mesh import triangle_contact
+from granflow.engine.mesh import normal_near, triangle_contact
 from granflow.engine.periodic_box import build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
 from granflow.geometry.motion import pose
+from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
@@ -30,6 +31,8 @@ class WallGeometry:
         self.state, self.walls, self.features = state, state.walls, state.plan.features
         self.wall_count, self.wall_of = state.parameter("wall_count"), build_wall_of(state)
         self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
+        self.real = state.backend.position_real
+        self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
         self.wrap_position = build_wrap_position(state)
         fields = state.wall_dynamics
         self.controlled_offset, self.controlled_velocity = (
@@ -74,6 +77,58 @@ class WallGeometry:
         if ti.static(self.features.moving_walls):
             normal = self.walls.rotation[pose, w] @ normal
         return gap, normal
+
+    @ti.func
+    def normal_half(self, face, pose, point, velocity, normal, dt):
+        """Normal p at the half step, p . n = 1, of a contact with a particle at the point.
+
+        velocity:  of the particle at the half step [m/s]
+        normal:    n, normal of the contact now
+
+        It is the normal where the particle was half a step ago in the frame of the wall, turned back with the wall.
+        """
+        half, found = ti.cast(0.5 * dt, self.real), normal
+        if ti.static(not self.is_flat):
+            velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
+            found = self._normal_near(face, pose, point - half * velocity_rel, normal)
+        if ti.static(self.features.moving_walls):
+            angular_velocity = ti.cast(self.walls.angular_velocity[pose, self.wall_of(-1 - face)], self.real)
+            found -= half * angular_velocity.cross(found)
+        return found + (1.0 - found.dot(normal)) * normal
+
+    @ti.func
+    def _normal_near(self, face, pose, point, normal):
+        """Unit normal of a wall or triangle at a point near a contact with this normal, whether or not it owns it."""
+        w = self.wall_of(-1 - face)
+        local, found = self.to_wall_frame(w, pose, point), normal
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w].transpose() @ normal
+        if face < self.wall_count():
+            parameters = self.walls.parameters[w]
+            for code in ti.static(self.kinds):
+                if self.walls.kind[w] == code:
+                    _gap, found = SHAPE_KINDS[code].closest(local, parameters)
+        elif ti.static(self.features.mesh_walls):
+            found = normal_near(self.state.mesh, face - self.wall_count(), local, found)
+        if ti.static(self.features.moving_walls):
+            found = self.walls.rotation[pose, w] @ found
+        return found
+
+    @ti.func
+    def velocity_half(self, face, pose, point, velocity, dt):
+        """Velocity [m/s] of the wall at the half step, where a point was that now is at `point`.
+
+        velocity:  of the point at the half step [m/s]
+
+            V + w x (x - dt/2 v - (c - dt/2 V))        c: pivot of the wall, V: its velocity
+        """
+        found = self.velocity(face, pose, point)
+        if ti.static(self.features.moving_walls):
+            w = self.wall_of(-1 - face)
+            of_pivot = self.velocity(face, pose, self._center(w, pose))
+            angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
+            found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(ti.cast(velocity, self.real) - of_pivot)
+        return found
 
     @ti.func
     def prescribed_velocity(self, face, pose, point):

@@ -79,7 +79,8 @@ def paths(contacts, steps, seed=1, steady=False):
     start, turns = 3.0 * rng.normal(0.0, 1.0, (contacts, 1, 3)), turning * rng.normal(0.0, 1.0, (contacts, steps, 3))
     normal = np.cumsum(np.concatenate([start, turns], axis=1), axis=1)
     normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-    now, middle = normal[:, 1:], 0.5 * (normal[:, :-1] + normal[:, 1:])
+    now, middle = normal[:, 1:], normal[:, :-1] + normal[:, 1:]
+    middle /= np.sum(middle * now, axis=2, keepdims=True)
     slip, rate = (size * rng.normal(0.0, 1.0, (*shape, 3)) for size in (SLIP, RATE))
     rate *= 10.0 ** rng.uniform(-4.0, 0.0, (contacts, 1, 1))
     slip -= np.sum(slip * now, axis=2, keepdims=True) * now

@@ -76,7 +76,10 @@ def test_oblique_collisions_equal_those_of_lammps(taichi_f64, case):
 
 
 def reference_collision(name, friction, damping, velocity, spins, modulus, duration, steps):
-    """The same as `collide` in numpy, from the equations of LAMMPS' pair style granular, with the lever arm R - d/2."""
+    """The same as `collide` in numpy, from the equations of LAMMPS' pair style granular, with the lever arm R - d/2.
+
+    The slip has the normal and the lever arm at the half step, the time of the velocities, unlike in LAMMPS.
+    """
     time_step, shear = duration / steps, modulus / 2.5 / 2.0 / (2.0 - 0.25)
     k, mass_eff, radius_eff = 4.0 / 3.0 * modulus / (2.0 * (1.0 - 0.25**2)), MASS / 2.0, RADIUS / 2.0
     zeta = theory.damping_ratio_for(RESTITUTION) if damping else 0.0
@@ -96,7 +99,12 @@ def reference_collision(name, friction, damping, velocity, spins, modulus, durat
         if overlap <= 0.0:
             continue
         relative, arm = velocities[0] - velocities[1], RADIUS - 0.5 * overlap
-        slip = relative - (relative @ normal) * normal - np.cross(arm * (rotations[0] + rotations[1]), normal)
+        branch_half = branch - 0.5 * time_step * relative
+        distance_half = np.sqrt(branch_half @ branch_half)
+        normal_half, arm_half = branch_half / distance_half, 0.5 * distance_half
+        slip = relative - (relative @ normal_half) * normal_half
+        slip = slip - np.cross(arm_half * (rotations[0] + rotations[1]), normal_half)
+        slip = slip - (slip @ normal) * normal
         contact_radius = np.sqrt(radius_eff * overlap)
         dashpot, stiffness = np.sqrt(5.0) * zeta * np.sqrt(mass_eff * k * contact_radius), 8.0 * shear * contact_radius
         load = max(k * contact_radius * overlap - dashpot * (relative @ normal), 0.0)

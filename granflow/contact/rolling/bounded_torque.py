@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from granflow.contact.law import HistoryField, ModelRequest
-from granflow.contact.surface_law import RollingLaw, SurfaceState
+from granflow.contact.surface_law import RollingLaw, SurfaceState, in_contact_plane, reference_in_contact_plane
 from granflow.device_functions import ti
 
 STOPPED_SHARE = 0.125
@@ -82,7 +82,7 @@ class BoundedTorque(RollingLaw):
     def torque(self, constants, contact, history):
         """Torque [N m] against the tangential rolling rate."""
         rate, history_new, energy_lost = contact.rolling_rate, history, 0.0 * contact.stiffness
-        tangential_rate = rate - rate.dot(contact.normal) * contact.normal
+        tangential_rate = in_contact_plane(rate, contact.normal, contact.normal_half)
         speed = ti.sqrt(tangential_rate.dot(tangential_rate))
         largest = self.torque_size(constants, contact, speed)
         torque = bounded_torque(largest, tangential_rate, speed, contact.inertia_eff, contact.longest_time_step)
@@ -93,7 +93,7 @@ class BoundedTorque(RollingLaw):
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque` in numpy."""
-        rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
+        rate = reference_in_contact_plane(contact.rolling_rate, contact)
         speed = float(np.linalg.norm(rate))
         stopping = STOPPED_SHARE * contact.inertia_eff * speed / contact.longest_time_step
         size = min(self.reference_size(contact, speed), stopping)

@@ -12,7 +12,7 @@ import numpy as np
 from granflow.contact.law import HistoryField
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION
-from granflow.contact.surface_law import RollingLaw, SurfaceState
+from granflow.contact.surface_law import RollingLaw, SurfaceState, in_contact_plane, reference_in_contact_plane
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
     reference_rotation,
@@ -47,7 +47,7 @@ class Epsd(RollingLaw):
         """Spring torque [N m] after the rotation of this step, limited to mu_r R F, its history and loss."""
         history_new, ratio, rate = history, contact.stiffness_ratio, contact.rolling_rate
         rotated = rotated_displacement(history.angle, contact.normal, contact.normal_half)
-        step = contact.time_step * (rate - rate.dot(contact.normal) * contact.normal)
+        step = contact.time_step * in_contact_plane(rate, contact.normal, contact.normal_half)
         spring = contact.stiffness * contact.radius_eff * contact.radius_eff
         limit = constants.rolling_friction * contact.radius_eff * contact.normal_load
         torque, angle = elastic_plastic_spring(spring, ti.min(ratio, 1.0), limit, rotated, step)
@@ -57,7 +57,7 @@ class Epsd(RollingLaw):
 
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque` in numpy."""
-        tangential_rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
+        tangential_rate = reference_in_contact_plane(contact.rolling_rate, contact)
         torque, angle = reference_spring(
             contact.stiffness * contact.radius_eff**2,
             contact.constants.rolling_friction * contact.radius_eff * contact.normal_load,

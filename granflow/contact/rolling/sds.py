@@ -14,7 +14,7 @@ from granflow.contact.law import HistoryField, ModelRequest
 from granflow.contact.model import ContactModel
 from granflow.contact.options import ROLLING_FRICTION, Amount, PairOption
 from granflow.contact.rolling.epsd import Epsd
-from granflow.contact.surface_law import SurfaceState
+from granflow.contact.surface_law import SurfaceState, in_contact_plane, reference_in_contact_plane
 from granflow.device_functions import ti
 
 BELOW_LIMIT = 1.0 - 1e-6
@@ -51,7 +51,7 @@ class Sds(Epsd):
         """Torque of spring and dashpot [N m]."""
         spring_torque, history_new, energy_lost = self.spring_torque(constants, contact, history)
         rate, radius = contact.rolling_rate, contact.radius_eff
-        tangential_rate = rate - rate.dot(contact.normal) * contact.normal
+        tangential_rate = in_contact_plane(rate, contact.normal, contact.normal_half)
         spring = contact.stiffness * radius * radius
         limit = BELOW_LIMIT * constants.rolling_friction * radius * contact.normal_load
         damping = 2.0 * constants.rolling_damping * ti.sqrt(contact.inertia_eff * spring)
@@ -64,7 +64,7 @@ class Sds(Epsd):
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque` in numpy."""
         spring_torque, history = super().reference(contact)
-        rate = contact.rolling_rate - (contact.rolling_rate @ contact.normal) * contact.normal
+        rate = reference_in_contact_plane(contact.rolling_rate, contact)
         limit = contact.constants.rolling_friction * contact.radius_eff * contact.normal_load
         critical = 2.0 * contact.radius_eff * math.sqrt(contact.inertia_eff * contact.stiffness)
         elastic = np.linalg.norm(spring_torque) < BELOW_LIMIT * limit

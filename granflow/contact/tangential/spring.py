@@ -11,18 +11,18 @@ from granflow.device_functions import ti
 
 
 @ti.func
-def rotated_displacement(displacement, normal, normal_middle):
+def rotated_displacement(displacement, normal, normal_half):
     """Tangential displacement [m] rotated with the contact plane over one step.
 
-        s' = s - (s . n) (n_before + n) / 2
+        s' = s - (s . n) p
 
-    normal:         unit normal n now
-    normal_middle:  mean of the previous and the present normal
+    normal:       unit normal n now
+    normal_half:  normal p at the half step, p . n = 1: it halves the angle between the previous and the present normal
 
     Rotation of the pair about its normal does not rotate the spring; other DEM codes neglect it as well, and it costs a
-    cross product. The mean of old and new normal preserves the length of s to fourth order in the rotation angle.
+    cross product. The projection along p is the rotation from the previous to the present contact plane.
     """
-    return displacement - displacement.dot(normal) * normal_middle
+    return displacement - displacement.dot(normal) * normal_half
 
 
 @ti.func
@@ -74,6 +74,6 @@ def reference_spring(
     return -stiffness * displacement_new, displacement_new
 
 
-def reference_rotation(displacement: np.ndarray, normal: np.ndarray, normal_middle: np.ndarray) -> np.ndarray:
+def reference_rotation(displacement: np.ndarray, normal: np.ndarray, normal_half: np.ndarray) -> np.ndarray:
     """Reference implementation of `rotated_displacement` in numpy, with vectors (3,)."""
-    return displacement - np.vdot(displacement, normal) * normal_middle
+    return displacement - np.vdot(displacement, normal) * normal_half

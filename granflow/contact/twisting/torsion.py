@@ -54,7 +54,7 @@ class TorsionLaw(TwistingLaw):
         """Torque [N m] along the normal, history, and energy dissipated in this step [J]."""
         history_new = history
         stiffness, coefficient, limit = self.torsion(constants, contact)
-        rate = contact.rolling_rate.dot(contact.normal)
+        rate = contact.rolling_rate.dot(contact.normal_half)
         step, before = contact.time_step * rate, history.angle
         angle = ti.min(history.stiffness / stiffness, 1.0) * before + step
         dashpot = 0.0 * rate
@@ -74,7 +74,7 @@ class TorsionLaw(TwistingLaw):
     def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Reference implementation of `torque` in numpy."""
         stiffness, coefficient, limit = self.reference_torsion(contact)
-        rate, before = float(contact.rolling_rate @ contact.normal), contact.history
+        rate, before = float(contact.rolling_rate @ contact.normal_half), contact.history
         angle = before.angle * min(before.stiffness / stiffness, 1.0) + contact.time_step * rate
         dashpot = -coefficient * rate if self.dashpot and before.angle != 0.0 else 0.0
         torque = dashpot - stiffness * angle

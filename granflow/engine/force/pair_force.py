@@ -7,6 +7,7 @@ exchanged, each result is bit-identical or has exactly the opposite sign.
 from typing import Any
 
 from granflow.contact.laws import ContactLaws
+from granflow.contact.surface_law import in_contact_plane
 from granflow.kernel_language import ti
 from granflow.plan.plan import Plan
 
@@ -31,10 +32,14 @@ def build_in_contact(real: Any) -> Any:
 def build_sphere_kinematics(plan: Plan) -> Any:
     """Device function: kinematics of two spheres in contact, relative to the first.
 
-    Arguments: radii [m], `branch` vector from the second to the first [m], relative velocity at the half step and now
-    [m/s], time step [s]. Returns a struct of overlap [m], normal, mean of the present and the previous normal,
-    tangential relative velocity at the half step [m/s], overlap rate at the half step and now [m/s] (positive if
-    approaching), and the lever arms of both [m]: the contact point halves the overlap.
+    Arguments: radii [m], `branch` vector b from the second to the first [m], relative velocity v at the half step and
+    now [m/s], time step [s]. Returns a struct of overlap [m]; normal n; normal_half p, see `contact.surface_law`;
+    relative velocity at the half step [m/s]; overlap rate at the half step and now [m/s] (positive if approaching); and
+    the lever arms of both, now and at the half step [m]: the contact point halves the overlap.
+
+        b(t - dt/2) = b - v dt/2    =>    p = n - dt/(2 |b|) (v - (v . n) n),    overlap rate  -v . p
+
+    Without a dashpot the overlap rate of the normal models is -v . n, of which no model accumulates an error.
     """
     rate_dependent = plan.features.rate_dependent
 
@@ -45,20 +50,24 @@ def build_sphere_kinematics(plan: Plan) -> Any:
         contact_distance = radius + radius_partner
         overlap = contact_distance - distance
         normal = inverse * branch
-        overlap_rate_half = -velocity_rel_half.dot(normal)
-        rate = overlap_rate_half
+        approach = -velocity_rel_half.dot(normal)
+        rate = approach
         if ti.static(rate_dependent):
             rate = -velocity_rel.dot(normal)
-        velocity_tangential = velocity_rel_half + overlap_rate_half * normal
+        normal_half = normal - (0.5 * dt * inverse) * (velocity_rel_half + approach * normal)
+        arm, arm_partner = radius - 0.5 * overlap, radius_partner - 0.5 * overlap
+        growth = 0.25 * dt * approach  # half of the overlap grew by this in half a step
         return ti.Struct(
             overlap=overlap,
             normal=normal,
-            normal_half=normal - (0.5 * dt * inverse) * velocity_tangential,
-            velocity_tangential=velocity_tangential,
-            overlap_rate_half=overlap_rate_half,
+            normal_half=normal_half,
+            velocity_rel_half=velocity_rel_half,
+            overlap_rate_half=-velocity_rel_half.dot(normal_half),
             overlap_rate=rate,
-            arm=radius - 0.5 * overlap,
-            arm_partner=radius_partner - 0.5 * overlap,
+            arm=arm,
+            arm_partner=arm_partner,
+            arm_half=arm + growth,
+            arm_partner_half=arm_partner + growth,
         )
 
     return sphere_kinematics
@@ -109,7 +118,7 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 def build_surface_contact(plan: Plan) -> Any:
     """Device function: struct `contact` of the surface models, see `granflow.contact.surface_law`.
 
-    Arguments: pair constants, struct `contact`, load [N], history, and structs and times as for `build_pair_force`.
+    Arguments: pair constants, struct `contact`, load [N], history, and structs and times .
     The time step is 0 in a force evaluation without motion, so that displacements do not change.
     """
     law, laws = plan.laws.normal, plan.laws
@@ -125,8 +134,11 @@ def build_surface_contact(plan: Plan) -> Any:
         normal_damping = 0.0 * contact.overlap
         if ti.static(len(laws.damped_slots) > 0):
             normal_damping = law.damping(constants.normal, contact, history.normal)
-        rotation = kinematics.arm * angular_velocities.first + kinematics.arm_partner * angular_velocities.partner
-        slip_rate = kinematics.velocity_tangential - rotation.cross(kinematics.normal)
+        rotation = (
+            kinematics.arm_half * angular_velocities.first + kinematics.arm_partner_half * angular_velocities.partner
+        )
+        surface_velocity = kinematics.velocity_rel_half - rotation.cross(kinematics.normal_half)
+        slip_rate = in_contact_plane(surface_velocity, kinematics.normal, kinematics.normal_half)
         return ti.Struct(
             radius_eff=contact.radius_eff,
             mass_eff=contact.mass_eff,

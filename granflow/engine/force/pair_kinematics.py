@@ -34,11 +34,13 @@ def no_contact(overlap, vector):
         overlap=overlap,
         normal=zero,
         normal_half=zero,
-        velocity_tangential=zero,
+        velocity_rel_half=zero,
         overlap_rate_half=nothing,
         overlap_rate=nothing,
         arm=nothing,
         arm_partner=nothing,
+        arm_half=nothing,
+        arm_partner_half=nothing,
     )
 
 
@@ -72,32 +74,35 @@ def _build_particle_kinematics(state: State) -> Any:
 
 
 def _build_wall_kinematics(state: State) -> Any:
-    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm of j."""
+    """`build_pair_kinematics` for a particle and a wall: the contact point halves the overlap; no lever arm of j.
+
+    Velocities are those of the half step; normal_half and the velocity of the wall at the contact point are as well.
+    """
     particles, features, real = state.particles, state.plan.features, state.backend.real
     geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
-        radius = particles.radius[i]
-        gap, direction = geometry.closest(-1 - j, pose, particles.position[i])
+        radius, face = particles.radius[i], -1 - j
+        gap, direction = geometry.closest(face, pose, particles.position[i])
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
         if ti.static(acts_at_distance):
             found.normal = ti.cast(direction, real)
         if found.overlap > 0.0:
-            found.normal = ti.cast(direction, real)
-            contact_point = particles.position[i] - found.arm * direction
-            wall_velocity = ti.cast(geometry.velocity(-1 - j, pose, contact_point), real)
-            velocity_rel_half = particles.velocity[i] - wall_velocity
-            found.overlap_rate_half = -velocity_rel_half.dot(found.normal)
-            found.overlap_rate = found.overlap_rate_half
+            position, velocity = particles.position[i], particles.velocity[i]
+            normal_half = geometry.normal_half(face, pose, position, velocity, direction, time_step)
+            found.normal, found.normal_half = ti.cast(direction, real), ti.cast(normal_half, real)
+            wall_velocity = geometry.velocity_half(face, pose, position - found.arm * normal_half, velocity, time_step)
+            found.velocity_rel_half = velocity - ti.cast(wall_velocity, real)
+            found.overlap_rate_half = -found.velocity_rel_half.dot(found.normal_half)
+            found.overlap_rate = -found.velocity_rel_half.dot(found.normal)
             if ti.static(features.rate_dependent):
-                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity).dot(found.normal)
-            found.velocity_tangential = velocity_rel_half + found.overlap_rate_half * found.normal
-            distance = ti.max(ti.cast(gap, real), 0.5 * radius)
-            found.normal_half = found.normal - (0.5 * time_step / distance) * found.velocity_tangential
+                wall_velocity_now = ti.cast(geometry.velocity(face, pose, position - found.arm * direction), real)
+                found.overlap_rate = -(particles.velocity_synchronized[i] - wall_velocity_now).dot(found.normal)
+            found.arm_half = found.arm + 0.25 * time_step * found.overlap_rate_half
             if ti.static(features.surface_velocity):  # it does not turn the normal
-                found.velocity_tangential -= geometry.surface_velocity(-1 - j, pose, found.normal)
+                found.velocity_rel_half -= geometry.surface_velocity(face, pose, found.normal_half)
         return found
 
     return wall_kinematics

@@ -1,0 +1,201 @@
+"""Particles that roll over curved, turning and moving surfaces, against independent integrations of their equations."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry.meshes import write
+from scene_builders import build_scene, particle_group, plane
+from scipy.integrate import solve_ivp
+
+from granflow import Simulation
+
+RADIUS, DENSITY, GRAVITY = 5e-4, 2500.0, np.array([0.0, 0.0, -30.0])
+MASS = 4.0 / 3.0 * np.pi * RADIUS**3 * DENSITY
+INERTIA = 0.4 * MASS * RADIUS**2
+POISSON_RATIO = 0.25
+NORMAL, TANGENTIAL, TORSION = 20.0, 15.0, 2e-9
+"""Stiffnesses [N/m], [N/m] and [N m/rad]; the torsion spring is so weak that particles keep their spin."""
+ROLLING = 2.0 * (1.0 - POISSON_RATIO) / (2.0 - POISSON_RATIO) * NORMAL
+"""Rolling stiffness over the square of the effective radius [N/m]: Mindlin's ratio times the normal stiffness."""
+DURATION = 0.008
+COARSE, DRUM_RADIUS, DRUM_CENTER = 4e-3, 8e-3, np.array([0.03, 0.0, 0.0])
+DRUM_RATE, PLATE_RATE = np.array([20.0, 0.0, 0.0]), np.array([0.0, -6.0, 0.0])
+PIVOT, EDGE = np.array([0.0, 0.0, -0.03]), np.array([0.0, 0.03, 0.0])
+ASLANT, ACROSS = np.array([0.0, np.sin(0.3), np.cos(0.3)]), np.array([0.0, np.cos(0.3), -np.sin(0.3)])
+
+
+def on_sphere(t, x):
+    """Distance [m] of a point from the surface of the fixed sphere, and normal."""
+    distance = np.linalg.norm(x)
+    return distance - COARSE, x / distance
+
+
+def inside_drum(t, x):
+    """As `on_sphere`, in a drum about x."""
+    branch = (x - DRUM_CENTER) * [0.0, 1.0, 1.0]
+    distance = np.linalg.norm(branch)
+    return DRUM_RADIUS - distance, -branch / distance
+
+
+def on_plate(t, x):
+    """As `on_sphere`, above a plate that turns about y."""
+    angle = PLATE_RATE[1] * t
+    normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    return (x - PIVOT) @ normal, normal
+
+
+def over_edge(t, x):
+    """As `on_sphere`, on an edge along x."""
+    branch = (x - EDGE) * [0.0, 1.0, 1.0]
+    distance = np.linalg.norm(branch)
+    return distance, branch / distance
+
+
+SURFACES: dict[str, Any] = {
+    "sphere": (on_sphere, RADIUS * COARSE / (RADIUS + COARSE), np.zeros(3), np.zeros(3)),
+    "drum": (inside_drum, RADIUS, DRUM_RATE, DRUM_CENTER),
+    "plate": (on_plate, RADIUS, PLATE_RATE, PIVOT),
+    "edge": (over_edge, RADIUS, np.zeros(3), EDGE),
+}
+"""Distance and normal, effective radius of contacts [m], angular velocity [rad/s] and pivot [m] of each surface."""
+OVERLAP = MASS * 30.0 / NORMAL
+STARTS = {
+    "sphere": ((COARSE + RADIUS - OVERLAP) * ASLANT, 0.15 * ACROSS + [0.05, 0.0, 0.0], [10.0, -20.0, 400.0]),
+    "drum": (DRUM_CENTER + [0.0, 0.0, RADIUS - DRUM_RADIUS - OVERLAP], [0.05, 0.3, 0.0], [30.0, 20.0, 400.0]),
+    "plate": (PIVOT + [0.01, 0.0, RADIUS - OVERLAP], [0.1, 0.1, 0.06], [20.0, 20.0, 400.0]),
+    "edge": (EDGE + [0.0, 0.0, RADIUS - OVERLAP], [0.1, 0.02, 0.0], [30.0, -10.0, 400.0]),
+}
+"""Position [m], velocity [m/s] and angular velocity [rad/s] of each particle at the start."""
+
+
+def derivatives(surface, springs, t, state):
+    """Time derivatives of position, velocity, angular velocity and displacements; load [N].
+
+    Spring of friction s, of rolling a and of twist b; the first two turn with the contact plane:
+
+        s' = v_t - (s . n') n        a' = w_t - (a . n') n        b' = w . n
+    """
+    distance_and_normal, radius_eff, turning, pivot = surface
+    x, v, w, s, a, b = np.split(state, [3, 6, 9, 12, 15])
+    distance, n = distance_and_normal(t, x)
+    arm, step = 0.5 * (RADIUS + distance), 1e-6  # RADIUS - overlap / 2
+    after, before = (distance_and_normal(t + sign * step, x + sign * step * v)[1] for sign in (1.0, -1.0))
+    turn = (after - before) / (2.0 * step)
+    relative, rate = v - np.cross(turning, x - arm * n - pivot), w - turning
+    slip = relative - relative @ n * n - arm * np.cross(w, n)
+    friction, load = springs[0] * TANGENTIAL * s, NORMAL * (RADIUS - distance)
+    torque = arm * np.cross(n, friction) - springs[1] * ROLLING * radius_eff**2 * a - TORSION * b * n
+    changes = slip - s @ turn * n, rate - rate @ n * n - a @ turn * n, [rate @ n]
+    return np.concatenate([v, GRAVITY + (load * n - friction) / MASS, torque / INERTIA, *changes]), load
+
+
+def integrated(name, springs):
+    """Position and angular velocity (6,) at the end, with the method of Dormand and Prince of order 8."""
+    surface, times = SURFACES[name], np.linspace(0.0, DURATION, 200)
+    start = np.concatenate([*STARTS[name], np.zeros(7)])
+    found = solve_ivp(
+        lambda t, state: derivatives(surface, springs, t, state)[0], times[[0, -1]], start, "DOP853", times,
+        rtol=1e-10, atol=1e-14,
+    ).y  # fmt: skip
+    assert min(derivatives(surface, springs, t, state)[1] for t, state in zip(times, found.T, strict=True)) > 0.0
+    return np.concatenate([found[0:3, -1], RADIUS * found[6:9, -1]])
+
+
+def simulated(steps, springs):
+    """The same (particles, 6) of all particles in one scene."""
+    friction, rolling_friction = 1e3 * np.array(springs)
+    position, velocity, angular_velocity = (np.array([start[k] for start in STARTS.values()]) for k in range(3))
+    fine = particle_group(position, 2 * RADIUS, velocity=velocity, angular_velocity=angular_velocity)
+    turning = {"kind": "rotation", "point": DRUM_CENTER.tolist(), "axis": [1, 0, 0], "angular_velocity": DRUM_RATE[0]}
+    rising = {"kind": "rotation", "point": PIVOT.tolist(), "axis": [0, 1, 0], "angular_velocity": PLATE_RATE[1]}
+    ends = [(DRUM_CENTER + [side * 6e-3, 0.0, 0.0]).tolist() for side in (-1, 1)]
+    scene = build_scene(
+        {"fine": fine, "coarse": particle_group([[0.0, 0.0, 0.0]], 2 * COARSE) | {"fixed": True}},
+        walls={
+            "drum": {"shape": "cylinder", "from": ends[0], "to": ends[1], "radius": DRUM_RADIUS, "material": "glass",
+                     "motion": turning},
+            "plate": plane(PIVOT, [0, 0, 1], motion=rising),
+            "edge": {"shape": "mesh", "file": "ridge.stl", "material": "glass"},
+        },
+        materials={"glass": {"young_modulus": 1e6, "poisson_ratio": POISSON_RATIO, "density": DENSITY}},
+        pair={"restitution": 1.0, "friction": friction, "rolling_friction": rolling_friction, "twisting_friction": 1.0},
+        gravity=GRAVITY.tolist(),
+        contact={"normal": {"law": "linear", "stiffness": {"value": NORMAL}}, "rolling": "epsd",
+                 "tangential": {"law": "linear_history", "stiffness": TANGENTIAL},
+                 "twisting": {"law": "torsion_spring", "stiffness": TORSION}},
+        domain={"min": [-0.05] * 3, "max": [0.05] * 3, "on_exit": "error"},
+        run={"duration": DURATION, "time_step": DURATION / steps, "velocity_max": 0.5},
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    simulation.step(steps)
+    particles = simulation.snapshot().particles
+    simulation.free()
+    fine = particles["radius"] < 2 * RADIUS
+    return np.concatenate([particles["position"][fine], RADIUS * particles["angular_velocity"][fine]], axis=1)
+
+
+@pytest.mark.parametrize("springs", [(1, 0), (0, 1)], ids=["friction", "rolling"])
+def test_trajectories_with_spin_converge_with_second_order(taichi_f64, tmp_path, monkeypatch, springs):
+    """On a sphere, in a rotating drum, on a turning plate and over the edge of a mesh, springs below their limits.
+
+    Slip, rolling and twist are those at the half step. With the normal of the full step, those of a particle that
+    spins about the normal have an error of first order.
+    """
+    monkeypatch.chdir(tmp_path)
+    ridge = EDGE + np.array([[-0.01, 0, 0], [0.01, 0, 0], [-0.01, 0.01, -0.01], [0.01, 0.01, -0.01],
+                             [-0.01, -0.01, -0.01], [0.01, -0.01, -0.01]])  # fmt: skip
+    write(tmp_path / "ridge.stl", ridge, np.array([[0, 1, 3], [0, 3, 2], [0, 4, 5], [0, 5, 1]]))
+    exact = np.array([integrated(name, springs) for name in STARTS])
+    scale = np.array([1e-3] * 3 + [1e-1] * 3)  # displacement [m] and surface velocity [m/s]
+    errors = np.array([np.linalg.norm((simulated(n, springs) - exact) / scale, axis=1) for n in (500, 1000, 2000)])
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert np.all(np.abs(orders - 2.0) < 0.2), dict(zip(STARTS, orders.T.round(2).tolist(), strict=True))
+    assert errors[-1].max() < 0.01
+
+
+def falling_past(positions, normal, friction, duration, modulus, diameter=5e-4):
+    """Simulation of fine particles that fall onto fixed spheres of 10 mm at positions (n, 3) [m]."""
+    coarse, fine = positions
+    material = {"young_modulus": modulus, "poisson_ratio": POISSON_RATIO, "density": DENSITY}
+    return Simulation(build_scene(
+        {"coarse": particle_group(coarse, 0.01) | {"fixed": True}, "fine": particle_group(fine, diameter)},
+        materials={"glass": material}, pair={"restitution": 0.5, "friction": friction}, normal=normal,
+        gravity=[0.0, 0.0, -9.81], domain={"min": [-0.05] * 3, "max": [0.05] * 3, "on_exit": "delete"},
+        run={"duration": duration, "velocity_max": 0.3},
+    ))  # fmt: skip
+
+
+def test_a_particle_that_rolls_over_a_saddle_falls_off(taichi_f64):
+    """From 40 degrees beside the top of two spheres that touch, and released at rest.
+
+    It rolls in a circle about their axis, slides, and loses contact at 88.8 degrees: friction cannot hold it below 90
+    degrees. An integration with the normal of the half step gives 151.5 degrees and 2.13 times the distance from the
+    axis after 64 ms, for any time step; with the normal of the full step the particle wedges and hangs below.
+    """
+    fine, distance = [5e-3, 1.0289629e-3, 1.2262703e-3], np.sqrt(2 * 5e-3 * 2.5e-4 + 2.5e-4**2)
+    simulation = falling_past(([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]], fine), "hertz", 0.8, 0.064, 5e8)
+    simulation.run()
+    _, y, z = simulation.snapshot().particles["position"][2]
+    simulation.free()
+    assert np.degrees(np.arctan2(y, z)) == pytest.approx(151.5, abs=0.1)
+    assert np.hypot(y, z) / distance == pytest.approx(2.13, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.5, 0.8])
+@pytest.mark.parametrize(
+    "normal", ["hertz", "zhou", {"law": "linear", "stiffness": {"reference_velocity": 0.3}}], ids=str
+)
+def test_no_fine_particle_hangs_below_a_layer_of_coarse_ones(taichi_f64, normal, friction):
+    """Without adhesion all fall through the gaps of 4.1 mm of a square layer within 0.3 s."""
+    rng = np.random.default_rng(1)
+    coarse = 0.01 * np.array([[x, y, 0.0] for x in range(-2, 3) for y in range(-2, 3)])
+    cells = np.array([[x, y] for x in range(8) for y in range(8)])[:60]
+    across = 0.0048 * (cells - 3.5) + rng.uniform(-0.002, 0.002, (60, 2))
+    fine = np.column_stack([across, rng.uniform(0.006, 0.007, 60)])
+    simulation = falling_past((coarse, fine), normal, friction, 0.3, 1e8)
+    simulation.run()
+    left = simulation.snapshot().particles["position"][:, 2]
+    simulation.free()
+    assert np.count_nonzero(left) == 0  # the fixed particles are at z = 0
