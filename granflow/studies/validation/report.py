@@ -12,28 +12,49 @@ from granflow import __version__
 from granflow.studies.page import page_text
 from granflow.studies.tables import PageTable
 from granflow.studies.validation.adhesion import adhesion_cases
+from granflow.studies.validation.at_rest import bed_cases, column_cases, reloading_cases, resting_cases
+from granflow.studies.validation.attraction import attraction_cases
 from granflow.studies.validation.case import ValidationCase
-from granflow.studies.validation.collisions import elastic_cases, restitution_cases
+from granflow.studies.validation.collisions import (
+    elastic_cases,
+    restitution_cases,
+    stated_cases,
+    steel_cases,
+)
 from granflow.studies.validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
 from granflow.studies.validation.motion import motion_cases
+from granflow.studies.validation.normal_models import normal_model_cases
 from granflow.studies.validation.oblique import oblique_cases
 from granflow.studies.validation.peers.compare import CASES, Stored, peer_cases, run_peers
 from granflow.studies.validation.peers.silo import SILO
 from granflow.studies.validation.rheology import cell_cases, layer_cases
+from granflow.studies.validation.rolling_models import rolling_model_cases, twisting_cases
 from granflow.studies.validation.silo import QUICK_COUNT as QUICK_SILO
 from granflow.studies.validation.silo import discharge_cases, janssen_cases
+from granflow.studies.validation.sticking import sticking_cases
 from granflow.studies.validation.vibrated import vibrated_cases
 
 Family = Callable[[], list[ValidationCase]]
 TWO_BODY: Mapping[str, Family] = {
     "elastic collisions": elastic_cases,
-    "restitution": restitution_cases,
+    "collisions of Zhou's model": restitution_cases,
+    "stated closed forms": stated_cases,
+    "restitution over velocity": steel_cases,
+    "other normal models": normal_model_cases,
     "oblique impacts": oblique_cases,
+    "impacts that stick": sticking_cases,
     "adhesion and viscoelasticity": adhesion_cases,
+    "attractions": attraction_cases,
+    "rolling models": rolling_model_cases,
+    "twisting models": twisting_cases,
     "particles on planes": motion_cases,
+    "reloading": reloading_cases,
+    "damping at rest": resting_cases,
+    "compressed row": bed_cases,
+    "static column": column_cases,
     "vibrated particle": vibrated_cases,
 }
-"""Functions that simulate cases of one or two particles, by the name in progress messages."""
+"""Functions that simulate cases of few particles, by the name in progress messages."""
 QUICK_REPEATS = 2
 """Runs of a silo that the quick validation compares with stored figures of LIGGGHTS and LAMMPS."""
 QUICK: Mapping[str, Family] = {
@@ -108,6 +129,7 @@ def rendered(template: str, stored: Mapping[str, Any]) -> str:
         missed=[each.name for each in cases if each.status == "miss"],
         quick=stored.get("quick", False),
         count=len(cases),
+        wrong_models=stored.get("wrong_models", []),
         version=stored["version"],
         date=stored["date"],
     )
