@@ -30,20 +30,22 @@ def check_flights(gammas, samples):
             assert len(found) == 0
             continue
         expected = flights_of_map(gamma)
-        count = min(len(found), len(expected))
-        assert count >= 2, gamma
-        np.testing.assert_allclose(found[:count], expected[:count], rtol=0.0, atol=0.005 + 1.0 / samples)
+        assert abs(len(found) - len(expected)) <= 1, gamma
+        for extreme in (np.min, np.max):
+            np.testing.assert_allclose(extreme(found), extreme(expected), rtol=0.0, atol=0.005 + 1.0 / samples)
 
 
 def test_inelastic_ball_doubles_its_period(taichi_f64):
-    """One flight of equal duration per period below sqrt(1 + pi^2) = 3.297, where a flight lasts a whole period:
+    """A flight lasts a whole period from sqrt(1 + pi^2) = 3.297 on; two durations alternate from sqrt(4 + pi^2) = 3.724.
 
-    2 pi gamma cos(p0) = (2 pi)^2 / 2 and sin(p0) = 1 / gamma. Above it, flights of two durations alternate.
+    A flight of a period has the phase cos p = pi / gamma. A landing that is late by q makes the next one late by
+    (1 - gamma sin p) q, which grows in magnitude if gamma sin p > 2. Flights converge slowly near this value: the map
+    and the run have 100 periods before the flights that count.
     """
-    assert np.ptp(flights_of_map(3.29)) < 1e-6
     assert flights_of_map(np.sqrt(1.0 + np.pi**2))[0] == pytest.approx(1.0, abs=1e-9)
-    assert np.ptp(flights_of_map(3.8)) > 0.14
-    check_flights((0.95, 3.2, 3.8), 200)
+    assert np.ptp(flights_of_map(np.sqrt(4.0 + np.pi**2) - 0.08)) < 1e-6
+    assert np.ptp(flights_of_map(np.sqrt(4.0 + np.pi**2) + 0.04)) > 0.1
+    check_flights((0.95, 3.6, 3.8), 200)
 
 
 @pytest.mark.slow

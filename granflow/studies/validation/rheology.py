@@ -6,6 +6,7 @@ with mu_1 = tan 20.9 deg, mu_2 = tan 32.76 deg, I_0 = 0.279 (Jop, Forterre & Pou
 0.6 - 0.1 I (Pouliquen, Cassar, Jop, Forterre & Nicolas 2006).
 """
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ import numpy as np
 from granflow import Scene, Simulation, read_run
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.shipped import shipped_scene
+from granflow.studies.validation.silo import block_error
 
 JOP = "Jop, Forterre & Pouliquen 2006, doi 10.1038/nature04801"
 POULIQUEN = "Pouliquen, Cassar, Jop, Forterre & Nicolas 2006, doi 10.1088/1742-5468/2006/07/P07020"
@@ -29,6 +31,8 @@ LARGEST_I = 0.3
 """Approximate limit of dense flows (GDR MiDi 2004, doi 10.1140/epje/i2003-10153-0)."""
 SLOPE = np.tan(np.radians(25.0))
 """Ratio of shear to normal stress in steady flow down the slope of `sheared_layer`."""
+GRAVITY, FRAME_INTERVAL = 9.81, 0.02
+"""Gravity [m/s2], and interval [s] of the frames of `sheared_layer`."""
 DIAMETER, DENSITY, RATE = 4e-3, 2500.0, 20.0
 """Diameter [m] and density [kg/m3] of the particles, and shear rate [1/s] of `shear_cell`."""
 BULK = (14e-3, 44e-3)
@@ -50,14 +54,18 @@ def friction_at(inertial_number: float) -> float:
     return float(low + (high - low) / (1.0 + I_0 / inertial_number))
 
 
-def fields_of(scene: Scene, name: str) -> dict[str, np.ndarray]:
-    """Means over the frames of a coarse-grained field of a run: arrays (cells,) or (cells, k), with `position`."""
+def frames_of(scene: Scene, name: str) -> list[dict[str, np.ndarray]]:
+    """Frames of a coarse-grained field of a run: arrays (cells,) or (cells, k), with `position`."""
     with tempfile.TemporaryDirectory() as folder:
         simulation = Simulation(scene, out=Path(folder) / "run")
         simulation.run()
         simulation.free()
-        frames = [dict(each) for each in read_run(Path(folder) / "run").fields[name]]
-        return {key: np.mean([each[key] for each in frames], axis=0) for key in frames[0]}
+        return [dict(each) for each in read_run(Path(folder) / "run").fields[name]]
+
+
+def mean_of(frames: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Means over the frames."""
+    return {key: np.mean([each[key] for each in frames], axis=0) for key in frames[0]}
 
 
 def stress_of(fields: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -84,20 +92,48 @@ def cell_shear(fields: Mapping[str, np.ndarray]) -> Shear:
     return Shear(float(inertial), float(stress[0, 2] / normal), float(fields["solid_fraction"][0]))
 
 
+def layer_balance(frames: Sequence[Mapping[str, np.ndarray]]) -> tuple[float, float, float]:
+    """Shear over normal stress in the bulk of the layer from the balance of forces, from the stresses, and its error.
+
+    The particles above a height have the mean acceleration a = (V_last - V_first) / T, where V is their mean velocity:
+    shear over normal stress is tan 25 deg - a / (g cos 25 deg). The error is three standard errors of the stresses.
+    """
+    height = frames[0]["position"][:, 2]
+    bulk = (height > BULK[0]) & (height < BULK[1])
+
+    def above(frame: Mapping[str, np.ndarray]) -> np.ndarray:
+        share = frame["solid_fraction"]
+        momentum = np.nan_to_num(share * frame["velocity"][:, 0])
+        with np.errstate(invalid="ignore"):  # no particle is above the surface
+            return np.asarray(np.cumsum(momentum[::-1])[::-1] / np.cumsum(share[::-1])[::-1])
+
+    change = above(frames[-1])[bulk] - above(frames[0])[bulk]
+    acceleration = change / ((len(frames) - 1) * FRAME_INTERVAL)
+    ratios = []
+    for frame in frames:
+        stress = stress_of(frame)[bulk]
+        ratios.append(-stress[:, 0, 2] / stress[:, 2, 2])
+    found = np.mean(ratios, axis=1)
+    expected = SLOPE - float(np.mean(acceleration)) / (GRAVITY * math.cos(math.radians(25.0)))
+    return expected, float(np.mean(found)), 3.0 * block_error(found)
+
+
 def layer_cases(overrides: Sequence[str] = ()) -> list[ValidationCase]:
     """Layer that flows down a slope of 25 degrees."""
-    found = layer_shear(fields_of(shipped_scene("sheared_layer", overrides), "profile"))
+    frames = frames_of(shipped_scene("sheared_layer", overrides), "profile")
+    expected, found, error = layer_balance(frames)
     balance = ValidationCase(
-        "Sheared flows", "layer on a slope of 25 deg: shear over normal stress", float(SLOPE),
-        "balance of forces in steady flow: tan 25 deg", found.friction, "1", 0.05,
-        "the layer accelerates by up to 5 % of g sin 25 deg until its velocity profile is steady",
+        "Sheared flows", "layer on a slope of 25 deg: shear over normal stress", expected,
+        "balance of forces: tan 25 deg minus the measured acceleration over g cos 25 deg", found, "1",
+        error / expected, "three standard errors of the stresses, from five intervals",
     )  # fmt: skip
-    return [balance, *shear_cases("layer on a slope of 25 deg", found)]
+    return [balance, *shear_cases("layer on a slope of 25 deg", layer_shear(mean_of(frames)))]
 
 
 def cell_cases(overrides: Sequence[str] = ()) -> list[ValidationCase]:
     """Lees-Edwards box at 20 1/s, half filled: faster than the range of the laws."""
-    return shear_cases("Lees-Edwards box", cell_shear(fields_of(shipped_scene("shear_cell", overrides), "whole")))
+    fields = mean_of(frames_of(shipped_scene("shear_cell", overrides), "whole"))
+    return shear_cases("Lees-Edwards box", cell_shear(fields))
 
 
 def shear_cases(name: str, found: Shear) -> list[ValidationCase]:

@@ -5,7 +5,8 @@ rests on the plate until the plate accelerates downward by more than g, at sin(w
 and leaves again at once if it lands while the plate accelerates downward by more than g.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,10 +15,16 @@ from granflow.studies.validation.case import ValidationCase
 
 GRAVITY, FREQUENCY, RADIUS = 9.81, 25.0, 0.0025
 SOLID = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
-PERIODS, TRANSIENT = 9, 4
-"""Periods of the plate per run, and periods whose flights do not count."""
-GAMMAS = (0.95, 1.05, 1.5, 2.5, 3.2, 3.4, 3.6, 3.8, 4.2)
-"""Amplitudes; from sqrt(1 + pi^2) = 3.297, flights of two durations alternate."""
+PERIODS, TRANSIENT = 120, 100
+"""Periods of the plate per run, and periods whose flights do not count: near the period doubling, flights converge to
+one duration slowly."""
+GAMMAS = (0.95, 1.05, 1.5, 2.5, 3.2, 3.4, 3.6, 3.76, 3.8, 4.2)
+"""Amplitudes. From sqrt(1 + pi^2) = 3.297, a flight lasts a whole period."""
+DOUBLING, ABOVE = math.sqrt(4.0 + math.pi**2), (3.76, 3.8)
+"""Amplitude above which flights of two durations alternate, and two amplitudes from which it is extrapolated.
+
+A flight of a whole period starts at the phase p with cos p = pi / Gamma. A start that is late by q ends late by
+(1 - Gamma sin p) q: the deviation changes its sign and grows if Gamma sin p exceeds 2."""
 SAMPLES = 400
 """Samples per period."""
 OVERLAP_TIME = 0.004
@@ -88,7 +95,8 @@ def flights_of_run(gammas: Sequence[float], samples: int) -> list[np.ndarray]:
     A flight is a time without force that is longer than three samples.
     """
     snapshots: list[Snapshot] = []
-    observer = on_interval(1.0 / (samples * FREQUENCY), snapshots.append, ("particles", "contacts"))
+    interval, start = 1.0 / (samples * FREQUENCY), (TRANSIENT - 1) / FREQUENCY
+    observer = on_interval(interval, snapshots.append, ("particles", "contacts"), start)
     simulation = Simulation(plates_scene(gammas), observers=[observer])
     simulation.run()
     simulation.free()
@@ -111,10 +119,33 @@ def _times_without_force(time: np.ndarray, supported: np.ndarray, samples: int) 
 
 def vibrated_cases(gammas: Sequence[float] = GAMMAS, samples: int = SAMPLES) -> list[ValidationCase]:
     """Shortest and longest flight for each amplitude; none below Gamma = 1."""
-    cases = []
-    for gamma, found in zip(gammas, flights_of_run(gammas, samples), strict=True):
+    flights, cases = dict(zip(gammas, flights_of_run(gammas, samples), strict=True)), []
+    for gamma, found in flights.items():
         cases += flight_cases(gamma, found, samples)
-    return cases
+    return cases + ([doubling_case(flights, samples)] if set(ABOVE) <= set(gammas) else [])
+
+
+def onset_of_doubling(flights: Mapping[float, np.ndarray]) -> tuple[float, float]:
+    """Amplitude at which the difference of both durations vanishes, and its change with that difference.
+
+    The square of the difference is proportional to the excess of the amplitude, to first order: a line through the
+    amplitudes of ABOVE.
+    """
+    low, high = (float(np.ptp(flights[gamma])) for gamma in ABOVE)
+    slope = (ABOVE[1] - ABOVE[0]) / (high**2 - low**2)
+    return ABOVE[0] - slope * low**2, 2.0 * slope * low
+
+
+def doubling_case(flights: Mapping[float, np.ndarray], samples: int) -> ValidationCase:
+    """Amplitude of the period doubling, extrapolated from both durations above it."""
+    exact, change = onset_of_doubling({gamma: flights_of_map(gamma) for gamma in ABOVE})
+    return ValidationCase(
+        "Inelastic particle on a vibrating plate", "Gamma of the period doubling", DOUBLING,
+        "sqrt(4 + pi^2): deviations of a flight of one period change their sign and grow", onset_of_doubling(flights)[0],
+        "1", (abs(exact - DOUBLING) + change / samples) / DOUBLING + OVERLAP_TIME * (math.pi / DOUBLING) ** 2,
+        f"the same line through durations of the map, one sample of {samples} per period, and flights that end one "
+        f"overlap early, {100 * OVERLAP_TIME:g} % of a period: Gamma^2 = 4 + (pi (1 - share))^2",
+    )  # fmt: skip
 
 
 def flight_cases(gamma: float, found: np.ndarray, samples: int) -> list[ValidationCase]:
@@ -128,17 +159,16 @@ def flight_cases(gamma: float, found: np.ndarray, samples: int) -> list[Validati
                 float(len(found)), "1", 0.0, "no flight below Gamma = 1", scale=1.0,
             )
         ]  # fmt: skip
-    count = min(len(found), len(expected))
     reason = (
         f"flights end one overlap early, {100 * OVERLAP_TIME:g} % of a period, and one sample of {samples} per period"
     )
     return [
         ValidationCase(
             "Inelastic particle on a vibrating plate", f"Gamma = {gamma:g}: {name} flight over the period",
-            float(chosen(expected[:count])) if count else float(chosen(expected)), source,
-            float(chosen(found[:count])) if count else float("nan"), "1",
+            float(chosen(expected)), source, float(chosen(found)) if len(found) else math.nan, "1",
             OVERLAP_TIME + 1.0 / samples, reason, scale=1.0,
-            remark="Flights of two durations alternate above sqrt(1 + pi^2) = 3.297 (period doubling).",
+            remark=f"Periods {TRANSIENT} to {PERIODS}. A flight lasts one period from sqrt(1 + pi^2) = 3.297 on; flights of "
+            "two durations alternate above sqrt(4 + pi^2) = 3.724 (period doubling).",
         )
         for name, chosen in (("shortest", np.min), ("longest", np.max))
     ]  # fmt: skip
