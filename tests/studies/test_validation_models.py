@@ -50,7 +50,7 @@ def test_limit_velocities_and_restitutions_of_both_steels():
 
 def test_restitution_over_velocity_and_stated_closed_forms_pass(taichi_f64):
     cases = collisions.steel_cases() + collisions.stated_cases()
-    assert set(statuses(cases).values()) == {"pass"} and len(cases) == 15
+    assert set(statuses(cases).values()) == {"pass"} and len(cases) == 26
 
 
 def test_limit_velocity_without_its_factor_fails(taichi_f64, monkeypatch):

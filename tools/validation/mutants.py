@@ -1,7 +1,7 @@
 """Wrong models: inserts one error at a time into a copy of the source, and runs the validation cases that must fail.
 
 python tools/validation/mutants.py                     all models of WRONG_MODELS; writes docs/validation_results.json
-python tools/validation/mutants.py "Eq. 19 times 1.25"   only the given ones; writes nothing
+python tools/validation/mutants.py "SJKR: half the attraction"   only the given ones; the rows of others stay
 python tools/validation/mutants.py --check              only checks that the text of each error occurs once in its file
 
 The page of the documentation shows the result as a table.
@@ -282,7 +282,7 @@ def result_of(copy: Path, model: WrongModel, kernels: Path) -> dict[str, Any]:
 def main() -> int:
     """Runs the wrong models; returns 1 if one is not killed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", help="names of wrong models; default: all, and the page is written")
+    parser.add_argument("names", nargs="*", help="names of wrong models; default: all")
     parser.add_argument("--check", action="store_true", help="only check that the changes apply to the source")
     options = parser.parse_args()
     chosen = [each for each in WRONG_MODELS if not options.names or each.name in options.names]
@@ -304,16 +304,17 @@ def main() -> int:
         rows = [result_of(copy, each, kernels) for each in chosen]
     surviving = [row["name"] for row in rows if not row["failing"]]
     print(f"{len(rows) - len(surviving)} of {len(rows)} killed" + (f"; not: {', '.join(surviving)}" if surviving else ""))
-    if not options.names:
-        write_page(rows)
+    write_page(rows)
     return 1 if surviving else 0
 
 
 def write_page(rows: Sequence[dict[str, Any]]) -> None:
-    """Replaces the table of wrong models in the stored results and in the page of the documentation."""
+    """Replaces rows of the table of wrong models in the stored results and in the page of the documentation."""
     from granflow.studies.validation.report import rendered
 
-    stored = json.loads(STORED.read_text(encoding="utf-8")) | {"wrong_models": list(rows)}
+    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    by_name = {row["name"]: row for row in (*stored.get("wrong_models", []), *rows)}
+    stored["wrong_models"] = [by_name[each.name] for each in WRONG_MODELS if each.name in by_name]
     STORED.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     PAGE.write_text(rendered("validation.md.jinja", stored), encoding="utf-8")
 

@@ -28,10 +28,10 @@ DIGITS = 0.005 / JKR_WORK
 """Relative rounding error of this coefficient."""
 SPEEDS = (0.05, 0.1)
 """Approach velocities [m/s] of adhesive spheres, above the velocity of 0.037 m/s at which spheres of JKR stick."""
-PULL_OFF_ERROR = 1e-3
-"""Allowed deviation of pull-off forces: the time step."""
 FRACTION = 0.002
 """Time step over the shorter of loading and unloading time."""
+PULL_OFF_ERROR = (0.5 * math.pi * FRACTION) ** 2
+"""Relative error of the largest of the forces at all steps, (w dt)^2; a phase of a contact is a quarter of a period."""
 JUMPS = (8.0 / 9.0, 5.0 / 9.0)
 """Tension at first contact and at separation over the pull-off force; both begin or end within a time step."""
 
@@ -65,7 +65,7 @@ def cohesion_cases(name: str) -> list[ValidationCase]:
     samples, time_step = bench.run(), bench.simulation.time_step
     bench.free()
     factor, source = PULL_OFF[name]
-    reason = f"time step of {100 * FRACTION:g} % of the shortest phase of the contact"
+    reason = f"(w dt)^2 of a time step of {100 * FRACTION:g} % of a quarter period"
     pull_off = factor * math.pi * WORK * RADIUS / 2.0
     cases = [
         ValidationCase(
