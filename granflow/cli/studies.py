@@ -163,7 +163,7 @@ def add_validate(verbs: Any) -> None:
     """Add `granflow validate` and its arguments."""
     summary = "compare published numbers and closed forms with simulations, on one page"
     parser = add_verb(verbs, validate, summary)
-    few = "only the cases of two particles and the cheap ones of many: 3 minutes instead of up to 30, on two cores"
+    few = "only the cases of few particles and the cheap ones of many: 5 minutes instead of up to 35, on two cores"
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--quick", action="store_true", help=few)
     both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
