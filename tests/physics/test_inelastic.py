@@ -36,7 +36,7 @@ def check_flights(gammas, samples):
 
 
 def test_inelastic_ball_doubles_its_period(taichi_f64):
-    """A flight lasts a whole period from sqrt(1 + pi^2) = 3.297 on; two durations alternate from sqrt(4 + pi^2) = 3.724.
+    """A flight lasts a period from sqrt(1 + pi^2) = 3.297 on; two durations alternate from sqrt(4 + pi^2) = 3.724 on.
 
     A flight of a period has the phase cos p = pi / gamma. A landing that is late by q makes the next one late by
     (1 - gamma sin p) q, which grows in magnitude if gamma sin p > 2. Flights converge slowly near this value: the map

@@ -19,7 +19,9 @@ from granflow.studies.validation.theory_of_collisions import Pair, Partner, zhou
 GRAVITY, RADIUS = 9.81, 2e-3
 SOLID = {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}
 """Radius [m] and material of spheres and walls."""
-FLOOR, TWO = Pair(Partner(SOLID, RADIUS), Partner(SOLID, math.inf)), Pair(Partner(SOLID, RADIUS), Partner(SOLID, RADIUS))
+FLOOR = Pair(Partner(SOLID, RADIUS), Partner(SOLID, math.inf))
+TWO = Pair(Partner(SOLID, RADIUS), Partner(SOLID, RADIUS))
+"""A sphere on a wall, and two spheres."""
 MASS = FLOOR.mass
 ZHOU_2011 = "Zhou 2011, doi 10.1063/2.1104106, Eqs. 4, 7 and 8"
 
@@ -170,7 +172,9 @@ def bed_cases() -> list[ValidationCase]:
         depth = STRAIN * length
         force = _force_of_row(depth)
         overlaps = [(force / pair.k) ** (2.0 / 3.0) for pair in (FLOOR, TWO)]
-        stiffness = [1.5 * pair.k * math.sqrt(d) * zhou_tangent(e) for pair, d in zip((FLOOR, TWO), overlaps, strict=True)]
+        stiffness = [
+            1.5 * pair.k * math.sqrt(d) * zhou_tangent(e) for pair, d in zip((FLOOR, TWO), overlaps, strict=True)
+        ]
         series = 1.0 / (2.0 / stiffness[0] + (BED - 1) / stiffness[1])
         back = RETREAT * force / series
         motion = [_smooth_step(-depth, 0.0), _smooth_step(back, 0.25)]

@@ -169,13 +169,20 @@ def force_cases(
 ) -> list[ValidationCase]:  # fmt: skip
     """Attraction besides the Hertz force during overlap, and its sum over that of the formula after separation."""
     overlap, rate, force = samples.T
-    touches, apart = overlap > 0.0, (rate < 0.0) & (-overlap > DISTANT[0] * reach) & (-overlap < DISTANT[1] * reach)
+    touches, separated = overlap > 0.0, (rate < 0.0) & (-overlap > DISTANT[0] * reach) & (-overlap < DISTANT[1] * reach)
     in_contact = float(np.mean(PAIR.k * overlap[touches] ** 1.5 - force[touches]))
-    ratio = float(np.sum(-force[apart]) / np.sum(attraction(-overlap[apart])))
+    ratio = float(np.sum(-force[separated]) / np.sum(attraction(-overlap[separated])))
     rounding = 1e-6
     return [
         ValidationCase(
-            "Attractions", f"{name}: {quantity}", reference, source, value, unit, rounding, "rounding of the forces, which are added on a grid"
+            "Attractions",
+            f"{name}: {quantity}",
+            reference,
+            source,
+            value,
+            unit,
+            rounding,
+            "rounding of the forces, which are added on a grid",
         )
         for quantity, reference, value, unit in (
             ("attraction in contact", touching, in_contact, "N"),

@@ -5,6 +5,7 @@ Chung & Ooi 2011, Granular Matter 13:643, doi 10.1007/s10035-011-0277-0; Zhou 20
 
 import math
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -110,13 +111,17 @@ def elastic_collision(
 
 def restitution_cases() -> list[ValidationCase]:
     """Restitution and duration of Zhou's model for each of PAIRS, and maximum overlap and force."""
-    pairs, materials, collisions, expected = {}, {}, [], []
+    pairs: dict[str, Any] = {}
+    materials: dict[str, Solid] = {}
+    collisions, expected = [], []
     for (number, (_, one, other, speed)), e in product(enumerate(PAIRS), RESTITUTIONS):
-        names = [f"{side}_{number}_{round(10 * e)}" for side in ("one", "other")]
-        materials |= dict(zip(names, (one[0], other[0]), strict=True))
-        pairs["-".join(names)] = {"restitution": e, "friction": 0.0}
+        first, second = (f"{side}_{number}_{round(10 * e)}" for side in ("one", "other"))
+        materials |= {first: one[0], second: other[0]}
+        pairs[f"{first}-{second}"] = {"restitution": e, "friction": 0.0}
         is_wall = math.isinf(other[1])
-        collisions.append(Collision(*names, one[1], None if is_wall else other[1], speed, 1.0 if is_wall else 0.5))
+        collisions.append(
+            Collision(first, second, one[1], None if is_wall else other[1], speed, 1.0 if is_wall else 0.5)
+        )
         expected.append(zhou_collision(Pair(Partner(*one), Partner(*other)), e, speed))
     bench = CollisionBench(
         materials=materials, pairs=pairs, contact={"normal": "zhou"}, collisions=collisions,
@@ -173,7 +178,7 @@ def steel_cases() -> list[ValidationCase]:
     fits[MIXED[0]] = (*MIXED[1:], zhou_limit_velocity(*softer[2:]))
     given = [(name, speed) for name in STEELS for speed in STEEL_SPEEDS]
     given += [(name, share * fits[name][2]) for name, share in LIMIT_SHARES.items()]
-    partners = {name: tuple(name.split("-")) if "-" in name else (name, name) for name in fits}
+    partners = {name: (name.partition("-")[0], name.rpartition("-")[2]) for name in fits}
     pairs = {
         "-".join(partners[name]): {
             "restitution": {"preset": name} if name in STEELS else {"sigma": sigma, "psi": psi}, "friction": 0.0
@@ -201,7 +206,8 @@ def steel_cases() -> list[ValidationCase]:
             share = speed / limit
             cases.append(
                 ValidationCase(
-                    "Restitution over velocity", f"{name}: limit velocity from the rebound at {share:g} of it{at}", limit,
+                    "Restitution over velocity", f"{name}: limit velocity from the rebound at {share:g} of it{at}",
+                    limit,
                     f"{ZHOU_2011}, Eqs. 11 and 12", speed * (1.0 + (sigma / -math.log(found)) ** (1.0 / psi)), "m/s",
                     STEP_ERROR * (1.0 - share) / (psi * loss), f"{STEP_REASON} in e, times d ln vlim / d ln e",
                 )

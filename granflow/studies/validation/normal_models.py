@@ -96,7 +96,7 @@ def luding(e: float) -> Callable[[Pair, float], Rebound]:
 
 def plastic(pair: Pair, v: float) -> Rebound:
     """Restitution of Thornton's collision; the other numbers have no closed form."""
-    return Rebound(*[math.nan] * 4, v * thornton_restitution(pair, YIELD_RATIO * STRENGTH, v))
+    return Rebound(math.nan, math.nan, math.nan, math.nan, v * thornton_restitution(pair, YIELD_RATIO * STRENGTH, v))
 
 
 TSUJI = "Tsuji et al. 1992 and Antypov & Elliott 2011, doi 10.1209/0295-5075/94/50004, integrated"

@@ -177,7 +177,10 @@ def spring_cases(name: str) -> list[ValidationCase]:
 def twisting_cases() -> list[ValidationCase]:
     """Sphere that spins about the normal: deceleration at the limit, and oscillation below it."""
     area_radius = math.sqrt(RADIUS * OVERLAP)
-    torques = {"marshall": 2.0 / 3.0 * FRICTION * area_radius * MASS * GRAVITY, "torsion_spring": LENGTH * MASS * GRAVITY}
+    torques = {
+        "marshall": 2.0 / 3.0 * FRICTION * area_radius * MASS * GRAVITY,
+        "torsion_spring": LENGTH * MASS * GRAVITY,
+    }
     springs = {"marshall": 0.5 * TANGENTIAL * area_radius**2, "torsion_spring": TORSION}
     cases = []
     for name, (model, pair, source) in TWISTING_MODELS.items():

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-
 from granflow.studies.collision_bench import Collision, CollisionBench
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import GLASS
@@ -23,7 +22,9 @@ FRACTION = 0.002
 """Time step over the shorter of loading and unloading time."""
 STEP_ERROR = 0.5 * math.pi * FRACTION
 """Error w dt: increments of the force have the stiffness at the end of each step, a rule of first order."""
-STEP_REASON = "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its step"
+STEP_REASON = (
+    "w dt of a time step of 0.2 % of a quarter period: each increment has the stiffness at the end of its step"
+)
 STEPS = 20000
 """Steps of the integration, whose error is a tenth of STEP_ERROR."""
 SOURCE = "Mindlin 1949; Thornton, Cummins & Cleary 2013, doi 10.1016/j.powtec.2012.08.012, integrated"
@@ -132,7 +133,15 @@ def rebound(impact: Impact) -> tuple[float, float]:
     viscous = impact.normal == "hertz"
     dashpot = hertz_dashpot(pair, e) if viscous else None
     step = 1.5 * zhou_collision(pair, 1.0, SPEED).duration / STEPS
-    d, rate, along, rotation, s, largest, kt_before = 0.5 * step * SPEED, SPEED, impact.along * SPEED, 0.0, 0.0, 0.0, 0.0
+    d, rate, along, rotation, s, largest, kt_before = (
+        0.5 * step * SPEED,
+        SPEED,
+        impact.along * SPEED,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     for _ in range(STEPS):
         if d <= 0.0:
             break

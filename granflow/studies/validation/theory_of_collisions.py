@@ -217,8 +217,8 @@ def linear_dashpot(stiffness: float, mass: float, e: float) -> Force:
 def thornton_restitution(pair: Pair, pressure: float, velocity: float) -> float:
     """Restitution of elastic, perfectly plastic spheres with the limiting pressure p [Pa] (Thornton 1997, Eq. 72).
 
-        e = sqrt(6 sqrt(3) / 5) sqrt(1 - r^2 / 6) (r / (r + 2 sqrt((6 - r^2) / 5)))^(1/4),   r = vy / v < 1
-        M vy^2 / 2 = (2/5) k dy^(5/2),   dy = R (pi p / (2 E))^2
+    e = sqrt(6 sqrt(3) / 5) sqrt(1 - r^2 / 6) (r / (r + 2 sqrt((6 - r^2) / 5)))^(1/4),   r = vy / v < 1
+    M vy^2 / 2 = (2/5) k dy^(5/2),   dy = R (pi p / (2 E))^2
     """
     overlap = pair.radius * (0.5 * math.pi * pressure / pair.modulus) ** 2
     r = math.sqrt(0.8 * pair.k * overlap**2.5 / pair.mass) / velocity

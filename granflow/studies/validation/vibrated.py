@@ -141,8 +141,9 @@ def doubling_case(flights: Mapping[float, np.ndarray], samples: int) -> Validati
     exact, change = onset_of_doubling({gamma: flights_of_map(gamma) for gamma in ABOVE})
     return ValidationCase(
         "Inelastic particle on a vibrating plate", "Gamma of the period doubling", DOUBLING,
-        "sqrt(4 + pi^2): deviations of a flight of one period change their sign and grow", onset_of_doubling(flights)[0],
-        "1", (abs(exact - DOUBLING) + change / samples) / DOUBLING + OVERLAP_TIME * (math.pi / DOUBLING) ** 2,
+        "sqrt(4 + pi^2): deviations of a flight of one period change their sign and grow",
+        onset_of_doubling(flights)[0], "1",
+        (abs(exact - DOUBLING) + change / samples) / DOUBLING + OVERLAP_TIME * (math.pi / DOUBLING) ** 2,
         f"the same line through durations of the map, one sample of {samples} per period, and flights that end one "
         f"overlap early, {100 * OVERLAP_TIME:g} % of a period: Gamma^2 = 4 + (pi (1 - share))^2",
     )  # fmt: skip
@@ -167,8 +168,8 @@ def flight_cases(gamma: float, found: np.ndarray, samples: int) -> list[Validati
             "Inelastic particle on a vibrating plate", f"Gamma = {gamma:g}: {name} flight over the period",
             float(chosen(expected)), source, float(chosen(found)) if len(found) else math.nan, "1",
             OVERLAP_TIME + 1.0 / samples, reason, scale=1.0,
-            remark=f"Periods {TRANSIENT} to {PERIODS}. A flight lasts one period from sqrt(1 + pi^2) = 3.297 on; flights of "
-            "two durations alternate above sqrt(4 + pi^2) = 3.724 (period doubling).",
+            remark=f"Periods {TRANSIENT} to {PERIODS}. A flight lasts one period from sqrt(1 + pi^2) = 3.297 on; "
+            "flights of two durations alternate above sqrt(4 + pi^2) = 3.724 (period doubling).",
         )
         for name, chosen in (("shortest", np.min), ("longest", np.max))
     ]  # fmt: skip

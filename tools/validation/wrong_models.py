@@ -1,8 +1,8 @@
 """Wrong models: inserts one error at a time into a copy of the source, and runs the validation cases that must fail.
 
-python tools/validation/mutants.py                     all models of WRONG_MODELS; writes docs/validation_results.json
-python tools/validation/mutants.py "SJKR: half the attraction"   only the given ones; the rows of others stay
-python tools/validation/mutants.py --check              only checks that the text of each error occurs once in its file
+python tools/validation/wrong_models.py            all models of WRONG_MODELS; writes docs/validation_results.json
+python tools/validation/wrong_models.py NAME ...   only the given ones; the rows of others stay
+python tools/validation/wrong_models.py --check    only checks that the text of each error occurs once in its file
 
 The page of the documentation shows the result as a table.
 """
@@ -211,7 +211,8 @@ MODELS = (
     ("jkr, work of adhesion", COHESION + "jkr.py", 'return pair.options["work_of_adhesion"], pair.modulus_eff',
      'return 1.1 * pair.options["work_of_adhesion"], pair.modulus_eff', "adhesion:adhesion_cases"),
     ("capillary bridges, attraction", COHESION + "capillary_bridge.py",
-     "return 4.0 * math.pi * contact.radius_eff * tension / (1.0", "return 4.4 * math.pi * contact.radius_eff * tension / (1.0",
+     "return 4.0 * math.pi * contact.radius_eff * tension / (1.0",
+     "return 4.4 * math.pi * contact.radius_eff * tension / (1.0",
      "attraction:bridge_cases"),
     ("capillary bridges, rupture distance", COHESION + "capillary_bridge.py", "return 1.0 + 0.5 * contact_angle",
      "return 1.1 * (1.0 + 0.5 * contact_angle)", "attraction:bridge_cases"),
@@ -303,7 +304,9 @@ def main() -> int:
             return 1
         rows = [result_of(copy, each, kernels) for each in chosen]
     surviving = [row["name"] for row in rows if not row["failing"]]
-    print(f"{len(rows) - len(surviving)} of {len(rows)} killed" + (f"; not: {', '.join(surviving)}" if surviving else ""))
+    print(
+        f"{len(rows) - len(surviving)} of {len(rows)} killed" + (f"; not: {', '.join(surviving)}" if surviving else "")
+    )
     write_page(rows)
     return 1 if surviving else 0
 

@@ -1,4 +1,4 @@
-"""tools/validation/mutants.py: the errors apply to the source."""
+"""tools/validation/wrong_models.py: the errors apply to the source."""
 
 import importlib
 from pathlib import Path
@@ -9,26 +9,26 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def mutants(monkeypatch):
+def tool(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "tools" / "validation"))
-    return importlib.import_module("mutants")
+    return importlib.import_module("wrong_models")
 
 
-def test_wrong_models_apply_to_the_source_and_name_existing_families(mutants):
-    assert mutants.problems(mutants.WRONG_MODELS) == []
-    assert len(mutants.REVIEW) == 15
-    assert len({each.name for each in mutants.WRONG_MODELS}) == len(mutants.WRONG_MODELS)
-    for each in mutants.WRONG_MODELS:
+def test_wrong_models_apply_to_the_source_and_name_existing_families(tool):
+    assert tool.problems(tool.WRONG_MODELS) == []
+    assert len(tool.REVIEW) == 15
+    assert len({each.name for each in tool.WRONG_MODELS}) == len(tool.WRONG_MODELS)
+    for each in tool.WRONG_MODELS:
         for family in each.families:
             module, name = family.split(":")
             assert callable(getattr(importlib.import_module(f"granflow.studies.validation.{module}"), name))
 
 
-def test_every_contact_model_has_a_wrong_one(mutants):
+def test_every_contact_model_has_a_wrong_one(tool):
     """A change of 10 % of each registered model, except for the base classes."""
     from granflow.contact.registry import models
 
-    changed = " ".join(each.name for each in mutants.WRONG_MODELS if each.small)
+    changed = " ".join(each.name for each in tool.WRONG_MODELS if each.small)
     shared = {"capillary": "capillary bridges", "capillary_transfer": "capillary bridges"}
     for kind in ("normal", "tangential", "rolling", "twisting", "cohesion"):
         for name in models(kind):
