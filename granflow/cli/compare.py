@@ -8,30 +8,36 @@ from pathlib import Path
 from typing import Any
 
 from granflow.cli.arguments import add_machine, add_out, add_scene_verb, load_runnable, quantity, simulated_time
-from granflow.cli.messages import say, say_progress, show_table
+from granflow.cli.messages import exit_code_of, print_error, say, say_progress, show_table
 from granflow.cli.scenes import prepare_output
 
 
 def compare(options: argparse.Namespace) -> int:
     """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
 
-    One subdirectory of the output directory per run, one page for all. Raises GranflowError if the directory contains
-    earlier runs, unless --overwrite is given.
+    One subdirectory of the output directory per run, one page for all. Runs of the same comparison that have ended are
+    not repeated, unless --overwrite is given. Raises GranflowError if the directory contains other runs, unless
+    --overwrite is given. Returns 130 or 143 after a stop signal; the same command then continues the comparison.
     """
-    from granflow.studies.compare.variants import law_names, variant_keys
+    from granflow.studies.compare.variants import law_names
 
     laws = law_names(options.laws)
     scene = load_runnable(options)
     out = options.out or Path("out") / f"{scene.path.stem}_compare"
-    for key in variant_keys(laws):
-        prepare_output(out / key, scene, options.overwrite)
     from granflow.studies.compare.report import PAGE, compare, notes_on, stage_note
     from granflow.studies.compare.summary import as_text, heads
 
-    found = compare(
-        scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
-        say_progress,
-    )  # fmt: skip
+    def prepare(directory: Path) -> None:
+        prepare_output(directory, scene, options.overwrite)
+
+    try:
+        found = compare(
+            scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
+            say_progress, prepare, options.overwrite,
+        )  # fmt: skip
+    except KeyboardInterrupt as stop:
+        remedy = "repeat the command to continue"
+        return print_error(f"stopped; the runs that have ended are kept in {out}, {remedy}.", exit_code_of(stop))
     show_table(scene.title, heads(found.runs, is_short=True), as_text(found.rows))
     for note in (stage_note(found), *notes_on(found)):
         say(note)
@@ -62,5 +68,9 @@ def add_compare(verbs: Any) -> None:
     add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
     add("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
     add("--full", action="store_true", help="use all particles (default: at most 4000)")
-    add("--overwrite", action="store_true", help="replace an earlier comparison in the same directory")
+    add(
+        "--overwrite",
+        action="store_true",
+        help="replace other runs in the same directory, and repeat those that have ended",
+    )
     add_machine(parser)

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 import sys
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from studies.legibility import smallest_letters
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
+from granflow.studies.compare import runs
 from granflow.studies.compare.collisions import subject_of
 from granflow.studies.compare.paraview import write_script
 from granflow.studies.compare.report import compare, notes_on
@@ -241,8 +243,55 @@ def test_the_command_rejects_unknown_contact_models_before_reading_the_scene(cap
 def test_an_earlier_comparison_is_not_overwritten(found, capsys, tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text(head_on().to_yaml(), encoding="utf-8")
-    assert main(["compare", str(file), "--laws", "hertz", "--out", str(found[1])]) == 2
+    changed = ["--set", "numerics.max_overlap=0.7"]
+    assert main(["compare", str(file), "--laws", "hertz", "--out", str(found[1]), *changed]) == 2
     assert "contains an earlier run" in capsys.readouterr().err
+
+
+def test_runs_of_a_stopped_comparison_are_kept(found, tmp_path, monkeypatch):
+    """Hertz is interrupted in a second comparison; the third one has the same table, without another run of linear."""
+    out = shutil.copytree(found[1], tmp_path / "out")
+    (out / "hertz" / runs.RECORD).unlink()
+    shutil.rmtree(out / "hertz")
+    run_variant, lines, ran = runs.run_variant, [], []
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(reporting, "sweeps_of", lambda *_: [])
+
+    def interrupted(*arguments):
+        ran.append(arguments[0].key)
+        (arguments[1] / "scene_as_run.yaml").write_text(arguments[0].scene.to_yaml())
+        (arguments[1] / "result.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs, "run_variant", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        compare(head_on(), ["linear", "hertz"], out, report=lines.append, prepare=refuse)
+    assert lines == [
+        "run 1 of 3: linear per contact, kept", "run 2 of 3: linear of 0.1 m/s, kept", "run 3 of 3: hertz"
+    ]  # fmt: skip
+    monkeypatch.setattr(runs, "run_variant", lambda *arguments: ran.append(arguments[0].key) or run_variant(*arguments))
+    compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
+    assert ran == ["hertz", "hertz"]
+
+    def rows(folder):
+        with (folder / "compare.csv").open(newline="") as file:
+            return [
+                row
+                for row in csv.DictReader(file)
+                if "wall" not in row["quantity"] and row["quantity"] != "compilation"
+            ]
+
+    assert rows(out) == rows(found[1])
+    for name in ("durations.csv", "heights.csv", "forces.csv"):
+        assert (out / name).read_bytes() == (found[1] / name).read_bytes()
+    (out / "hertz" / "timeseries.csv").write_text("time [s]\n0\n")
+    with pytest.raises(GranflowError, match="other results in hertz"):
+        compare(head_on(), ["linear", "hertz"], out, prepare=refuse)
+
+
+def refuse(directory):
+    if directory.exists():
+        raise GranflowError(f"other results in {directory.name}")
 
 
 def fitted(**materials):

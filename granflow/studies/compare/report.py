@@ -74,12 +74,15 @@ def compare(
     until: float | None = None,
     all_particles: bool = False,
     report: Callable[[str], None] = lambda text: None,
+    prepare: Callable[[Path], None] = lambda directory: None,
+    repeat: bool = False,
 ) -> SceneComparison:
     """Run the scene with each contact model and write tables, figures, PVD files and the page into `out`.
 
     `laws`: names of contact models. `reference_velocity` [m/s]: impact velocity for the constant linear spring, by
     default a tenth of the largest impact velocity. `until` [s] ends each run early. Unless `all_particles`, scenes with
-    more than MOST_PARTICLES particles are reduced. `report` receives progress messages.
+    more than MOST_PARTICLES particles are reduced. `report` receives progress messages. Runs of an earlier call with
+    the same arguments in `out` are kept, unless `repeat`; `prepare`: called with the directory of each other run.
 
     Raises GranflowError if no contact model can run the scene.
     """
@@ -87,7 +90,9 @@ def compare(
     most = None if all_particles else MOST_PARTICLES
     variants = variants_of(scene, laws, velocity, most)
     out.mkdir(parents=True, exist_ok=True)
-    runs, refused = run_all(variants, [out / each.key for each in variants], arch, velocity, until, report)
+    runs, refused = run_all(
+        variants, [out / each.key for each in variants], arch, velocity, until, report, prepare, repeat
+    )
     subject = subject_of(scene, velocity)
     sweeps: list[LawSweep] = []
     if subject is not None:

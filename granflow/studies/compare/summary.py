@@ -96,7 +96,7 @@ def _height(stage: str, column: int, run: VariantRun) -> float:
     return run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column] if np.isfinite(time) else float("nan")
 
 
-TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.plan.time_step)
+TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.time_step)
 
 COST: tuple[Quantity, ...] = (
     ("simulated time", SECOND, lambda run: run.time),

@@ -49,11 +49,6 @@ def law_names(given: str) -> tuple[str, ...]:
     return names
 
 
-def variant_keys(laws: Sequence[str]) -> list[str]:
-    """Directory names of the variants of these contact models."""
-    return [key for name in laws for key in (LINEAR_KEYS if name == "linear" else (name,))]
-
-
 def reference_velocity_of(scene: Scene) -> float:
     """Typical impact velocity [m/s]: TYPICAL_SHARE of the largest that the plan assumes."""
     return TYPICAL_SHARE * automatic_plan(scene).velocity_max
