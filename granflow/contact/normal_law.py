@@ -63,6 +63,10 @@ class NormalLaw(Law):
         """Damping ratio, with the unloading tangent, of contacts that are compressed again without having separated."""
         return 0.0
 
+    def unloading_number(self, pair: PairMaterial) -> float:
+        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K and its damping c, by default theta^2."""
+        return self.unloading_angle**2
+
     def unresolved_unloading(self, pair: PairMaterial) -> float:
         """If the ratio of unloading to loading duration is below this value, the time step need not resolve unloading.
 

@@ -30,7 +30,9 @@ def reference_contact(
     k = float(theory.hertz_stiffness(constants.modulus_eff, contact.radius_eff))
     largest, e, y = history.overlap_max, history.restitution, history.recovery
     if constants.restitution == constants.limit_velocity == 0.0:
-        return reference_inelastic(contact, k * overlap**1.5)
+        if damping_ratio > 0.0:
+            rate += 0.5 * contact.time_step * history.force_before / contact.mass_eff
+        return reference_inelastic(contact, k, rate)
     if restitution_at != "max_overlap" and largest == 0.0:
         e = _restitution(constants, rate)
     viscous = 0.0

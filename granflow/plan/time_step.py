@@ -172,14 +172,14 @@ def stable_step(pair_case: PairCase, law: NormalLaw, velocity: float) -> float:
         w^2 = S Kt/M,   S = min(2.5 z + 1, 20)                    if all rotate in the same sense and contacts slip
 
     With friction the second frequency is the higher one and halves the step. A contact model that limits its unloading
-    stiffness has K dt^2 = theta^2 M there.
+    stiffness has K dt^2 = theta^2 M there, or another number with damping, see `NormalLaw.unloading_number`.
     """
     pair_arguments = (pair_case.pair, pair_case.radius_eff, pair_case.mass_eff, velocity)
     count, mass = min(pair_case.contact_count, MAX_CONTACTS), pair_case.mass_eff
     normal_modes, tangential_modes = min(count, NORMAL_MODES), min(2.5 * count + 1.0, SLIDING_MODES)
     tangential = _tangential_stiffness(pair_case, law, velocity)
     viscosity = law.viscosity(*pair_case.dashpot_arguments, velocity)
-    margin = 4.0 - normal_modes * law.unloading_angle**2
+    margin = 4.0 - normal_modes * law.unloading_number(pair_case.pair)
     steps = (
         _largest_step(law.stable_stiffness(*pair_arguments) + 2.0 * tangential, viscosity, mass / normal_modes, 4.0),
         _largest_step(2.0 * tangential, viscosity, mass / normal_modes, margin),

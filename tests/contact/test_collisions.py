@@ -168,12 +168,13 @@ def test_duration_equals_the_closed_form(taichi_f64, case):
 def test_energy_balance_converges_in_second_order(taichi_f64, case):
     """The loss of kinetic energy equals the dissipation of the model: plastic work plus damping.
 
-    At the largest velocity some cohesive contacts do not separate, and their energy is still stored.
+    At the largest velocity some cohesive contacts do not separate, and their energy is still stored. A contact of the
+    restitution 0 accumulates its work as the leapfrog scheme does: without error.
     """
     separating = VELOCITIES[:-1] if case.adhesive else VELOCITIES
     coarse, fine = (np.abs(collisions(case, steps, velocities=separating)[2]).max() for steps in (COARSE, FINE))
     assert coarse <= 2e-4
-    assert coarse / fine >= 9.0
+    assert coarse / fine >= 9.0 or max(coarse, fine) <= 1e-13 and case.name == WITHOUT_REBOUND
 
 
 @pytest.mark.parametrize("case", [case for case in PLAIN if case in CONTINUOUS], ids=str)

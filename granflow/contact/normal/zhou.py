@@ -17,7 +17,7 @@ from granflow.contact.model import ContactModel
 from granflow.contact.normal_law import NormalLaw
 from granflow.contact.options import Amount, Choice
 from granflow.contact.substep_corrections import build_step_mean, turning_point
-from granflow.contact.zhou_inelastic import inelastic_force, inelastic_pair, is_inelastic, support_energy
+from granflow.contact.zhou_inelastic import HISTORY, SUPPORT_MODES, inelastic_force, inelastic_pair, is_inelastic
 from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, reference_contact
 from granflow.contact.zhou_unloading import (
     least_restitution,
@@ -88,11 +88,12 @@ class Zhou(NormalLaw):
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Maximum overlap, restitution of the contact, and recovery y while it unloads (0: loading)."""
+        """Maximum overlap, restitution of the contact, recovery y while it unloads (0: loading); see `zhou_inelastic`."""
         return (
             HistoryField("overlap_max", "maximum overlap", "m", in_output=True),
             HistoryField("restitution", "restitution coefficient", in_output=True),
             HistoryField("recovery", "recovered fraction of the maximum overlap"),
+            *(HISTORY if self.has_inelastic else ()),
         )
 
     @property
@@ -190,11 +191,15 @@ class Zhou(NormalLaw):
         history_new.overlap_max = ti.max(overlap, overlap_max)
         history_new.recovery = ti.select(loading, 0.0, recovery)
         if ti.static(self.has_inelastic):
-            inelastic = inelastic_pair(constants)
-            force, viscous_part, largest, state = inelastic_force(contact, loading_force, history)
-            total, viscous = ti.select(inelastic, force, total), ti.select(inelastic, viscous_part, viscous)
-            history_new.overlap_max = ti.select(inelastic, largest, history_new.overlap_max)
-            history_new.recovery = ti.select(inelastic, state, history_new.recovery)
+            inelastic, rate_half = inelastic_pair(constants), rate
+            if ti.static(self.rate_dependent):  # `overlap_rate` is at the time level, half a step later
+                rate_half += 0.5 * contact.time_step * history.force_before / contact.mass_eff
+            force, history_inelastic = inelastic_force(contact, stiffness * ti.sqrt(radius), rate_half, history)
+            total, viscous = ti.select(inelastic, force, total), ti.select(inelastic, 0.0, viscous)
+            largest, state = history_new.overlap_max, history_new.recovery
+            history_new = history_inelastic  # the fields of HISTORY of other pairs are not read
+            history_new.overlap_max = ti.select(inelastic, history_inelastic.overlap_max, largest)
+            history_new.recovery = ti.select(inelastic, history_inelastic.recovery, state)
         return total, viscous, history_new
 
     @ti.func
@@ -206,25 +211,28 @@ class Zhou(NormalLaw):
 
     @ti.func
     def stored_energy(self, constants, contact, history):
-        """Energy recovered by unloading from the present overlap [J]."""
+        """Energy recovered by unloading from the present overlap [J]; an inelastic pair stores none."""
         k = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff)
         e, y = self.unloading_parameters(constants, contact, history)
         energy = unloading_energy(k, history.overlap_max, e, y, contact.overlap)
         if ti.static(self.has_inelastic):
             if inelastic_pair(constants):
-                energy = support_energy(contact, history)
+                energy = 0.0
         return energy
 
     @ti.func
     def lost_energy(self, constants, contact, history):
-        """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading [J]."""
+        """Work of loading to the maximum overlap, (2/5) k dmax^2.5, minus the energy recovered by unloading [J].
+
+        All work on an inelastic pair.
+        """
         k, largest = 4.0 / 3.0 * constants.modulus_eff * ti.sqrt(contact.radius_eff), history.overlap_max
         e, y = self.unloading_parameters(constants, contact, history)
-        recovered = unloading_energy(k, largest, e, y, largest)
+        energy_lost = 0.4 * k * largest * largest * ti.sqrt(largest) - unloading_energy(k, largest, e, y, largest)
         if ti.static(self.has_inelastic):
             if inelastic_pair(constants):
-                recovered = 0.0
-        return 0.4 * k * largest * largest * ti.sqrt(largest) - recovered
+                energy_lost = history.work
+        return energy_lost
 
     def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
         """Reference implementation of the model for one contact, in float64."""
@@ -252,6 +260,10 @@ class Zhou(NormalLaw):
         """Viscous force over overlap rate [N s/m], 2 zeta sqrt(K M) with the Hertz tangent K at the maximum overlap."""
         tangent = theory.hertz_tangent(pair, radius_eff, mass_eff, velocity)
         return 2.0 * self.damping_ratio * float(np.sqrt(tangent * mass_eff))
+
+    def unloading_number(self, pair: PairMaterial) -> float:
+        """theta^2; that of the support and its damping for an inelastic pair, see `zhou_inelastic`."""
+        return SUPPORT_MODES if is_inelastic(pair) else self.angle**2
 
     def least_restitution(
         self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
