@@ -49,6 +49,7 @@ SUPPORT_MODES = SUPPORT_NUMBER + 2.0 * SUPPORT_DAMPING * (1.0 - SUPPORT_NUMBER)
 """K dt^2/M + 2 c dt/M of the support: times the number of contacts that act on a mode, at most 4."""
 
 YIELDING, STOPPING, SUPPORTING = 0.0, 1.0, 2.0
+"""States of a contact, in the history field `recovery`."""
 
 HISTORY = (
     HistoryField("support", "force of the support at the maximum overlap", "N"),
