@@ -1,7 +1,7 @@
 """Contacts of the restitution 0 (Zhou 2011, Eq. 4 for e -> 0), where unloading is vertical; not from the paper.
 
-In the limit a contact yields along k d^1.5 while its overlap d increases, and carries any force between 0 and k dmax^1.5
-at d = dmax without moving: the force that the other forces W on the pair require, M d'' = W - F = 0. A contact is in
+In the limit a contact yields along k d^1.5 while its overlap d increases, and at d = dmax carries any force between 0
+and k dmax^1.5 without moving: the force that the other forces W on the pair require, M d'' = W - F = 0. A contact is in
 one of three states:
 
     yielding    F = min(k d^1.5, G),  G: force that stops the approach within this step, until it is the smaller one

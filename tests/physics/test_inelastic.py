@@ -151,7 +151,7 @@ def test_long_column_rests_with_the_overlaps_of_hertz_at_every_restitution(taich
 
 
 @pytest.mark.parametrize("time_step", [13e-6, 3e-6])
-def test_work_on_a_sphere_pressed_between_two_walls_is_that_of_hertz(taichi_f64, time_step):
+def test_work_on_a_sphere_compressed_by_two_walls_is_that_of_hertz(taichi_f64, time_step):
     """Two contacts of the overlap d take the work 2 (2/5) k d^2.5 in slow compression, and store none of it."""
     lid = {
         "shape": "rectangle", "material": "glass", "corner": [-0.004, -0.004, 0.004],

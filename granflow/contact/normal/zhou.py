@@ -88,7 +88,7 @@ class Zhou(NormalLaw):
 
     @property
     def history(self) -> tuple[HistoryField, ...]:
-        """Maximum overlap, restitution of the contact, recovery y while it unloads (0: loading); see `zhou_inelastic`."""
+        """Maximum overlap, restitution of the contact, and recovery y while it unloads (0: loading)."""
         return (
             HistoryField("overlap_max", "maximum overlap", "m", in_output=True),
             HistoryField("restitution", "restitution coefficient", in_output=True),
