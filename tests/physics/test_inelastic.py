@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, column, particle_group, plane, run_and_sample, run_to_end, times
 
-from granflow.studies.validation.vibrated import DOUBLING, GRAVITY, RADIUS, SOLID, flights_of_map, flights_of_run
+from granflow.studies.validation.vibrated import GRAVITY, RADIUS, SOLID, flights_of_map, flights_of_run
 
 BOX = {"min": [-0.1] * 3, "max": [0.1] * 3, "on_exit": "error"}
 
