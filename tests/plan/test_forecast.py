@@ -138,6 +138,45 @@ def test_static_overlap_does_not_depend_on_the_restitution():
     assert found[0].overlap == pytest.approx(found[1].overlap, rel=1e-9)
 
 
+def large_on_small(modulus, ratio=20.0, count=1500, normal="zhou"):
+    """A particle of `ratio` mm that falls by 7 mm onto a layer of particles of 1 mm on a floor of 24 mm x 24 mm."""
+    glass = {"glass": {"young_modulus": modulus, "poisson_ratio": 0.25, "density": 2500.0}}
+    region = {"box": {"min": [-0.012, -0.012, 0.0], "max": [0.012, 0.012, 0.006]}}
+    small = {"material": "glass", "count": count, "diameter": 0.001, "insert": {"kind": "pack", "region": region}}
+    large = particle_group([[0.0, 0.0, 0.0005 * ratio + 0.007]], 0.001 * ratio)
+    return build_scene(
+        {"small": small, "large": large}, walls={"floor": plane([0, 0, 0], [0, 0, 1])}, materials=glass,
+        gravity=[0.0, 0.0, -9.81], run={"duration": 0.1, "velocity_max": 0.37}, normal=normal,
+        domain={"min": [-0.013, -0.013, -0.001], "max": [0.013, 0.013, 0.06], "on_exit": "error"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("normal", ["zhou", "hertz"])
+def test_large_particle_compresses_supported_small_ones(normal):
+    """The energy M v^2 / 2 is stored in 2 N contacts, (2/5) k d^2.5 each, N = 0.8 2 R d / r^2 at the limit d = 0.1 r.
+
+    In runs of such a scene the largest overlap is 0.46 of the radius at 10 MPa, 0.24 at 60 MPa: 0.6 GPa is enough.
+    """
+    found = forecast(large_on_small(1e7, normal=normal), "overlap of impacts")
+    mass, count = 2500.0 * 4.0 / 3.0 * pi * 0.01**3, 0.8 * 2.0 * 0.01 * 0.1 / 0.0005
+    stiffness = 4.0 / 3.0 * 1e7 / (2.0 * (1.0 - 0.25**2)) * sqrt(0.01 * 0.0005 / 0.0105)
+    overlap = (1.25 * mass / (2.0 * count) * 0.37**2 / stiffness) ** 0.4 / 0.0005
+    assert found.overlap == pytest.approx(overlap, rel=0.01 if normal == "zhou" else 0.25)
+    value, unit = re.search(r"young_modulus to ([\d.]+) ([GM])Pa", found.warning).groups()
+    advised = float(value) * {"G": 1e9, "M": 1e6}[unit]
+    assert 0.6e9 < advised < 1.5e9
+    assert warnings_of(large_on_small(advised, normal=normal)) == []
+
+
+def test_small_particles_that_are_not_supported_are_hit_in_binary_collisions():
+    """A bed that is deep for the size of the large particle, and a few small particles do not support it.
+
+    In a run with the ratio 5, the largest overlap is 0.06 of the radius.
+    """
+    for scene in (large_on_small(1e7, ratio=5.0), large_on_small(1e7, count=5000), large_on_small(1e7, count=3)):
+        assert warnings_of(scene) == []
+
+
 def lid(height=0.1, pressure=1e4, **more):
     motion = {"kind": "servo", "direction": [0, 0, -1], "pressure": pressure, "velocity_max": 0.5} | more
     sides = [[0.024, 0, 0], [0, 0.024, 0]]

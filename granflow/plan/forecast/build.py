@@ -8,8 +8,8 @@ from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
 from granflow.plan.forecast.insertion import flow_warnings, insertion_warnings
 from granflow.plan.forecast.intervals import interval_warnings, vibration_forecasts
-from granflow.plan.forecast.overlaps import impact_forecast, static_forecasts
-from granflow.plan.forecast.pairs import touching_pairs
+from granflow.plan.forecast.overlaps import impact_forecast, static_forecasts, supported_forecast
+from granflow.plan.forecast.pairs import supported_pairs, touching_pairs
 from granflow.plan.forecast.pressures import bed_pressures
 from granflow.plan.forecast.regions import region_warnings
 from granflow.plan.forecast.servos import servo_warnings
@@ -23,14 +23,18 @@ from granflow.plan.plan import Plan
 def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
     """Forecasts of overlaps, walls, regions and servos; `plan`: that of the scene, without forecasts."""
     pairs, times = list(touching_pairs(plan)), nominal_times(plan.stages)
+    supported = list(supported_pairs(scene, plan))
+    hitting = [*pairs, *(pair for pair, _weight in supported)]
     expected = forecast_velocity(scene, plan)
-    impact = impact_forecast(plan, pairs, expected.value, expected.source)
+    impact = impact_forecast(plan, hitting, expected.value, expected.source)
     if impact is not None and impact.warning is not None:  # the paths over the walls take time
         expected = path_velocity(scene, plan)
-        impact = impact_forecast(plan, pairs, expected.value, expected.source)
+        impact = impact_forecast(plan, hitting, expected.value, expected.source)
     if impact is not None:
         yield impact
     static = list(static_forecasts(plan, pairs, bed_pressures(scene, plan)))
+    below = supported_forecast(plan, supported)
+    static += [] if below is None else [below]
     yield from static
     yield from vibration_forecasts(scene)
     explained = max((each.overlap for each in static), default=0.0)

@@ -66,6 +66,28 @@ def static_forecasts(plan: Plan, pairs: Iterable[TouchingPair], pressures: Itera
         yield Forecast(name, _up_to(largest.overlap), remark, warning, load.kind, largest.overlap, force)
 
 
+def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) -> Forecast | None:
+    """The largest overlap under the weight [N] of a large particle on one of the small ones that carry it."""
+    supported = list(pairs)
+    weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
+    largest = _largest(
+        plan, (pair for pair, _weight in supported), lambda pair: static_overlap(plan.laws, pair, weights[pair.name])
+    )
+    if largest is None:
+        return None
+    warning = None
+    if largest.overlap > plan.max_overlap:
+        warning = (
+            f"{largest.pair.name}: under the weight of one particle the contacts below it overlap by "
+            f"{_up_to(largest.overlap)}, {_above(plan)} {_remedy(largest)}."
+        )
+    remark = f"{largest.pair.name}, at rest"
+    force = weights[largest.pair.name]
+    return Forecast(
+        "overlap under a particle", _up_to(largest.overlap), remark, warning, "weight", largest.overlap, force
+    )
+
+
 def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | None:
     """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to it."""
     largest = _largest(plan, pairs, lambda pair: static_overlap(plan.laws, pair, 0.0))
