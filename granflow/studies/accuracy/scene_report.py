@@ -13,6 +13,9 @@ from granflow.studies.figures import COLORS, Drawing, stacked_panels
 from granflow.studies.page import write_study
 from granflow.studies.tables import PageTable, percent
 
+MOST_CHOICES = 3
+"""Choices with equal costs that the conclusion names; the table has all."""
+
 LOWEST = 1e-7
 """Smaller errors are drawn at this value."""
 
@@ -28,7 +31,9 @@ def scene_recommendation(study: SceneStudy) -> str:
         "Costs are processor time."
     )
     if others:
-        found = "; ".join(f"{_step(point)}, {_cost(point)}" for point in study.cheapest)
+        found = "; ".join(f"{_step(point)}, {_cost(point)}" for point in study.cheapest[:MOST_CHOICES])
+        if len(study.cheapest) > MOST_CHOICES:
+            found += f"; and {len(study.cheapest) - MOST_CHOICES} more of the table"
         return (
             f"For {requested}, the cheapest choices are not distinguished by their costs per simulated second, which "
             f"overlap: {found}. Take any of them, or repeat on an idle machine with more seeds (--full). {own}"

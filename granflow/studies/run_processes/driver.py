@@ -137,7 +137,8 @@ class Driver:
 
     def _tell_holders(self) -> None:
         """Report the runs that other processes carry out, such as workers whose command was killed."""
-        waiting = {job.run.directory for job in [*self._ready, *(job for held in self._held.values() for job in held)]}
+        jobs = [*self._ready, *(job for held in self._held.values() for job in held)]
+        waiting = {directory for job in jobs for directory in (job.run.directory, Path(job.request.directory))}
         for directory in sorted(waiting):
             if holder := holder_of(directory):
                 name = f"{directory.parent.name}/{directory.name}"
