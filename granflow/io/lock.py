@@ -104,7 +104,8 @@ class DirectoryLock:
         return None
 
     def close(self) -> None:
-        """Release the lock."""
+        """Release the lock; its file is then empty."""
+        _write_holder(self._lock, "")
         os.close(self._lock)
         if self._folder is not None:
             os.close(self._folder)
@@ -117,16 +118,13 @@ _WRITING: dict[Identity, Path] = {}
 """Directories into which a run of this process writes; the same thread can have several runs."""
 
 
-def _record_holder(descriptor: int) -> None:
-    """Write the number of this process and the name of this machine into the lock file; a full disk does not matter.
-
-    A hard link to another file is not written.
-    """
+def _write_holder(descriptor: int, holder: str) -> None:
+    """Replace the content of the lock file; a full disk does not matter. A hard link to another file is not written."""
     with suppress(OSError):
-        if os.fstat(descriptor).st_nlink > 1:
-            return
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"process {os.getpid()} on {platform.node()}".encode())
+        if os.fstat(descriptor).st_nlink <= 1:
+            os.ftruncate(descriptor, 0)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+            os.write(descriptor, holder.encode())
 
 
 def holder_of(directory: Path) -> str:
@@ -167,7 +165,7 @@ def locked(directory: Path) -> Iterator[DirectoryLock]:
     except BaseException:
         os.close(descriptor)
         raise
-    _record_holder(descriptor)
+    _write_holder(descriptor, f"process {os.getpid()} on {platform.node()}")
     lock = DirectoryLock(Path(os.path.abspath(directory)), descriptor)
     _HELD[key] = lock
     try:
