@@ -4,8 +4,9 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+from granflow.arguments import items_of, path_of, refuse_other, shown
 from granflow.errors import GranflowError, OutputError, SceneError
 from granflow.io.atomic_files import write_text
 from granflow.io.log import version_of
@@ -95,7 +96,8 @@ class Scene(SceneInput):
                 f"scene: this is a {type(data).__name__}, but a scene is a mapping of keys to values, such as "
                 '{"title": "My scene", ...}; granflow.load_scene reads a file.'
             )
-        return cls.of(scene_in(document_of(data), folder=Path(folder or "")), read=True)
+        folder = Path() if folder is None else path_of("folder", folder)
+        return cls.of(scene_in(document_of(data), folder=folder), read=True)
 
     @classmethod
     def of(cls, written: SceneInput, read: bool = True) -> "Scene":
@@ -124,7 +126,7 @@ class Scene(SceneInput):
         >>> gf.load_scene(scene.save("small.yaml")) == scene
         True
         """
-        target = Path(path)
+        target = path_of("path", path)
         for key, name in self.input_names():
             if not (target.parent / name).is_file():
                 raise GranflowError(
@@ -150,6 +152,10 @@ class Scene(SceneInput):
         for name, group in self.particles.items():
             if isinstance(group.insert, FileInsertion):
                 yield f"particles.{name}.insert.file", group.insert.file
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as YAML: another process reads and checks it again, without its particle files."""
+        return _unpickled, (self.to_yaml(), str(self.folder), str(self.path))
 
     def __repr__(self) -> str:
         """One line: title, numbers of particles and walls, contact model, longest duration [s]."""
@@ -192,6 +198,8 @@ class Scene(SceneInput):
         """The same scene with another floating-point precision, unless it is None."""
         if precision is None:
             return self
+        if precision not in get_args(Precision):
+            raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
 
 
@@ -224,9 +232,20 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scene:
     >>> gf.load_scene("two.yaml", ["run.duration=5 ms"]).run.duration
     0.005
     """
-    written = scene_in(document_in(Path(path)), overrides, Path(path).parent)
-    written._path = Path(path)
+    path = path_of("path", path)
+    overrides = items_of("overrides", overrides, 'texts, such as "run.duration=5 ms"')
+    for each in overrides:
+        refuse_other("an override", each, str, 'a text, such as "run.duration=5 ms"')
+    written = scene_in(document_in(path), overrides, path.parent)
+    written._path = path
     return Scene.of(written, read=True)
+
+
+def _unpickled(text: str, folder: str, path: str) -> Scene:
+    """The scene of the text of another process."""
+    written = scene_in(parse(text, "the pickled scene"), (), Path(folder))
+    written._path = Path(path)
+    return Scene.of(written, read=False)
 
 
 def scene_of(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:

@@ -1,11 +1,17 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from math import inf
+from numbers import Real
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING
+from threading import Lock
+from types import NoneType, TracebackType
+from typing import TYPE_CHECKING, NoReturn
 
-from granflow.engine.backend import Arch, Precision
+from granflow.arguments import items_of, path_of, refuse_other, shown, whole_number
+from granflow.engine.backend import Arch, Precision, refuse_other_thread
 from granflow.engine.engine import Engine
 from granflow.engine.state_cache import start
 from granflow.errors import GranflowError, StopRun
@@ -19,6 +25,7 @@ from granflow.observers.build import observers_for
 from granflow.particles.particle_data import ParticleData
 from granflow.plan.plan import Plan
 from granflow.run_start import engine_for, run_start
+from granflow.runs.initial_particles import refuse_other_particles
 from granflow.runs.interrupts import stopping_on_interrupt
 from granflow.runs.observer_list import ObserverList, name_of
 from granflow.runs.python_changes import saved_parameters
@@ -38,11 +45,16 @@ if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
 
 
-ATTRIBUTES = {
-    *("files", "warnings", "observers", "is_stopped", "particles", "walls", "forces"),
-    *("_state", "_loop", "_in_block", "_session"),
+REMEDIES = {
+    "forces": "use simulation.forces.append and remove",
+    "observers": "use simulation.observers.append and remove",
+    "walls": "use the methods of a wall, such as simulation.walls[NAME].motion = ...",
+    "particles": "assign to an array, such as simulation.particles.velocity = ..., or use add and remove",
 }
-"""Attributes of a simulation that are set; all others are read-only or do not exist."""
+"""How to change what an assignment to an attribute of a simulation does not."""
+
+_CREATION = Lock()
+"""Held between the start of Taichi and the allocation of fields: another thread must not restart it there."""
 
 
 class Simulation:
@@ -78,7 +90,8 @@ class Simulation:
     `particles`: `LiveParticles`; `walls`: `LiveWalls` by name; `forces`, `observers`: lists with `append` and `remove`.
 
     Simulations in use at the same time in one process must have the same architecture, precision and threads;
-    `free` ends the use.
+    `free` ends the use. A simulation belongs to the thread that creates it; other threads may call `request_stop` and
+    read `time`, `step_count` and `stage`. Processes start with multiprocessing.get_context("spawn"), not by a fork.
     """
 
     def __init__(
@@ -101,24 +114,32 @@ class Simulation:
     ) -> None:
         wall_clock = WallClock()
         refuse_other_object(scene)
+        refuse_other("particles", particles, (ParticleData, NoneType), "arrays of granflow.ParticleData")
+        refuse_other("plan", plan, (Plan, NoneType), "a plan of granflow.plan_for")
+        refuse_other("resume", resume, (Checkpoint, str, os.PathLike, NoneType), 'a directory, such as "out/hopper"')
+        out = None if out is None else path_of("out", out)
+        observers = items_of("observers", observers, "observers, such as granflow.on_interval(interval, function)")
+        forces = items_of("forces", forces, "granflow.ParticleForce")
         if communicator is not None:
             refuse_on_ranks(arch, forces, scene)
-        if isinstance(resume, Path | str):
-            resume = checkpoint_at(resume, "all" if communicator is None else "root")
+        if resume is not None and not isinstance(resume, Checkpoint):
+            resume = checkpoint_at(path_of("resume", resume), "all" if communicator is None else "root")
         scene = scene.with_precision(precision)
-        backend = start(arch, scene.run.precision, threads)
-        self.files = RunDirectory(None if out is None else Path(out), scene, resume, overwrite)
-        names = map(name_of, observers)
-        begin = run_start(
-            scene, backend, particles, resume, forces, names, plan, communicator, allow_changes, allow_long
-        )  # fmt: skip
-        self.warnings, plan = begin.warnings, begin.plan
-        self.files.create()
-        engine = engine_for(plan, backend, communicator, scene)
+        with _CREATION:
+            backend = start(arch, scene.run.precision, threads)
+            self.files = RunDirectory(out, scene, resume, overwrite)
+            names = map(name_of, observers)
+            begin = run_start(
+                scene, backend, particles, resume, forces, names, plan, communicator, allow_changes, allow_long
+            )  # fmt: skip
+            self.warnings, plan = begin.warnings, begin.plan
+            self.files.create()
+            engine = engine_for(plan, backend, communicator, scene)
         from_scene = observers_for(plan, self.files.path, progress, self.files.writer, write_pieces(engine))
         self.observers = ObserverList(from_scene, observers)
         self._state = RunState(engine, begin.insertion, self.observers, wall_clock, begin.earlier, begin.original)
         self._loop, self._in_block, self.is_stopped = TimeLoop(self._state, self.files), False, False
+        self._is_running = False
         self._session = RunSession(self._loop, self.files, resume, lambda: self.warnings)
         if begin.initial is not None:
             engine.insert(begin.initial)
@@ -131,15 +152,24 @@ class Simulation:
         self.walls = LiveWalls(self._state)
         self.forces = Forces(self._state, forces)
         wall_clock.set_up(engine.timing.compile)
+        self._is_created = True
 
     def __setattr__(self, name: str, value: object) -> None:
         """Set an attribute of the simulation itself. Raises AttributeError for others, which would have no effect."""
-        if name not in ATTRIBUTES:
-            raise AttributeError(
-                f"Simulation.{name} cannot be set: values of the scene are fixed in a run. Change the scene before it "
-                "(Scene.from_dict), or add a force: simulation.forces.append(...)."
+        if not (name.startswith("_") or name == "is_stopped" or "_is_created" not in vars(self)):
+            remedy = REMEDIES.get(
+                name,
+                "values of the scene are fixed in a run. Change the scene before it (Scene.from_dict), or add a force: "
+                "simulation.forces.append(...)",
             )
+            raise AttributeError(f"Simulation.{name} cannot be set: {remedy}.")
         object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> NoReturn:
+        """Raises GranflowError: device memory and files belong to this process."""
+        raise GranflowError(
+            "A simulation can neither be pickled nor copied: pickle its scene, or continue from a checkpoint (save)."
+        )
 
     @property
     def engine(self) -> Engine:
@@ -163,18 +193,18 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
-        return self.engine.time
+        """Simulated time [s]; may be read in any thread."""
+        return self._state.clock.time
 
     @property
     def step_count(self) -> int:
         """Number of completed steps."""
-        return self.engine.step_count
+        return self._state.clock.step_count
 
     @property
     def time_step(self) -> float:
         """Present time step [s]."""
-        return self.engine.time_step
+        return self._state.clock.time_step
 
     def snapshot(self, contacts: bool = False) -> Snapshot:
         """Return the current state as read-only arrays, particles ordered by id.
@@ -196,24 +226,24 @@ class Simulation:
         `run()` completes the run: outside of a `with` block it ends with `close`.
 
         Returns:  numbers of the run so far; expectations of the scene are evaluated if its stages have ended
-        Raises:   ValueError for times that are not finite or a negative duration, RunError on an abort,
-                  FunctionError if a function from Python fails, OutputError if files cannot be written; before the
-                  last two, a checkpoint is written if possible
+        Raises:   GranflowError for times that are not finite or a negative duration, and if an observer or another
+                  thread calls it; RunError on an abort, FunctionError if a function from Python fails, OutputError if
+                  files cannot be written; before the last two, a checkpoint is written if possible
         """
         end = end_of_run(until, duration, self.time, self.time_step)
-        self.is_stopped = False
-        with self._session.running():
-            self._advance(end, within_stages)
-            result = self._loop.result()
-        is_complete = until is None and duration is None and not self._in_block
-        return self._session.close(self._loop.last_result) if is_complete else result
+        with self._running("run"):
+            self.is_stopped = False
+            with self._session.running():
+                self._advance(end, within_stages)
+                result = self._loop.result()
+            is_complete = until is None and duration is None and not self._in_block
+            return self._session.close(self._loop.last_result) if is_complete else result
 
     def step(self, count: int = 1) -> None:
         """Take `count` steps with all events on the way, as `run`. Raises the exceptions of `run`."""
-        if count < 0 or count != int(count):
-            raise ValueError(f"count is {count}, but must be a whole number of at least 0.")
-        wanted, self.is_stopped = self.engine.step_count + count, False
-        with self._session.running():
+        wanted = self.step_count + whole_number("count", count)
+        with self._running("step"), self._session.running():
+            self.is_stopped = False
             while not self.is_stopped and (remaining := wanted - self.engine.step_count) > 0:
                 steps = remaining if self.plan.adaptive_time_step is None else 1
                 self._advance(self.time + steps * self.time_step)
@@ -233,7 +263,8 @@ class Simulation:
 
         Returns the numbers of the run; None if no step was taken since the files were finished.
         """
-        return self._session.close(self._loop.last_result) if self._session.is_open else None
+        with self._running("close"):
+            return self._session.close(self._loop.last_result) if self._session.is_open else None
 
     def __enter__(self) -> "Simulation":
         self._in_block = True
@@ -251,25 +282,48 @@ class Simulation:
         particles:  at the present time
         time_step:  of all further steps [s]; default: the present one
         """
-        self._loop.last_good.clear()
-        self.engine.restart(particles, time_step)
+        refuse_other("particles", particles, ParticleData, "arrays of granflow.ParticleData")
+        refuse_other_particles(self.plan, particles)
+        if time_step is not None and not (isinstance(time_step, Real) and 0.0 < time_step < inf):
+            raise GranflowError(f"time_step is {shown(time_step)}, but must be a number [s] above 0.")
+        with self._running("restart"):
+            self._loop.last_good.clear()
+            self.engine.restart(particles, time_step)
 
     def request_stop(self, error: BaseException) -> None:
         """Make `run` complete the current steps, write a checkpoint and raise `error`; for signal handlers.
 
-        Raises TypeError if `error` is not an exception.
+        Also for other threads. Raises GranflowError if `error` is not an exception.
         """
         if not isinstance(error, BaseException):
-            raise TypeError(f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}.")
+            raise GranflowError(f"request_stop takes an exception, such as KeyboardInterrupt(), not {error!r}.")
         self._loop.stop_requested = error
-        self.engine.stepper.interrupted = True
+        self._state.interrupt()
 
     def free(self) -> None:
         """Finish all files and release the device memory; the simulation cannot continue afterwards."""
         try:
-            self.close()
+            if self._session.is_open:
+                self.close()
         finally:
-            self.engine.free()
+            if not self._is_running:
+                self._state.free()
+                self.observers.end()
+
+    @contextmanager
+    def _running(self, method: str) -> Iterator[None]:
+        """In the block, methods that advance or end the simulation are refused: an observer must not call them."""
+        refuse_other_thread(self._state.owner)
+        if self._is_running:
+            raise GranflowError(
+                f"{method} cannot be called by an observer, while the simulation runs: raise granflow.StopRun to end "
+                f"the run, and call {method} after it."
+            )
+        self._is_running = True
+        try:
+            yield
+        finally:
+            self._is_running = False
 
     def _advance(self, end: float, within_stages: bool = False) -> None:
         """Advance to `end` [s], unless an observer ends the run before."""
@@ -282,7 +336,7 @@ class Simulation:
     def __repr__(self) -> str:
         """One line: title, simulated time [s], steps, stage."""
         stage = f", stage {self.stage}" if self.stage else ""
-        state = f"{self.time:.4g} s, step {self.engine.step_count}{stage}"
+        state = f"{self.time:.4g} s, step {self.step_count}{stage}"
         return f'<Simulation "{visible_line(self.plan.title)}": {state}>'
 
     def _repr_html_(self) -> str:
@@ -290,7 +344,7 @@ class Simulation:
         present = [name for name, wall in self.walls.items() if wall.is_present]
         rows = [
             ("time", f"{self.time:.6g} s"),
-            ("step", readable(self.engine.step_count)),
+            ("step", readable(self.step_count)),
             ("time step", f"{self.time_step:.4g} s"),
             ("stage", self.stage),
             ("particles", readable(len(self.particles))),

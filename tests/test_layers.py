@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "granflow"
 LAYERS = (
     "errors",
+    "arguments",
     "kernel_source",
     "kernel_language",
     "device_functions",
@@ -44,6 +45,7 @@ TOP_LEVEL = {
 }
 STUDIES_IMPORT = {
     "granflow",
+    "granflow.arguments",
     "granflow.contact.material",
     "granflow.contact.registry",
     "granflow.contact.theory",

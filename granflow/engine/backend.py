@@ -2,10 +2,12 @@
 
 import atexit
 import logging
+import os
 import shutil
+import threading
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from io import StringIO
 from pathlib import Path
@@ -39,6 +41,7 @@ class Backend:
     real:           Taichi type of forces and velocities
     position_real:  Taichi type of positions
     worker_count:   CPU threads that take part in a loop
+    owner:          Python thread of the start: Taichi allocates fields in no other one
     largest_buffer: bytes that fields of a GPU may have together in one tree; None: unlimited
     """
 
@@ -49,6 +52,7 @@ class Backend:
     position_real: Any
     worker_count: int
     largest_buffer: int | None = None
+    owner: threading.Thread = field(default_factory=threading.current_thread)
 
     @property
     def types(self) -> dict[str, Any]:
@@ -62,6 +66,37 @@ class Backend:
 
 
 _started: Backend | None = None
+_is_forked = False
+
+
+def _mark_fork() -> None:
+    """In a forked process, whose copy of Taichi has no threads: its first loop would wait for them forever."""
+    global _is_forked
+    _is_forked = _is_forked or _started is not None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_mark_fork)
+
+
+def refuse_forked_process() -> None:
+    """Raise GranflowError in a process that was forked after the start of Taichi."""
+    if _is_forked:
+        raise GranflowError(
+            "This process is a fork of one that has used granflow, without its threads: start processes with "
+            'multiprocessing.get_context("spawn") instead of "fork".'
+        )
+
+
+def refuse_other_thread(owner: threading.Thread) -> None:
+    """Raise GranflowError in another thread than that of the start, or in a forked process."""
+    refuse_forked_process()
+    if owner is not threading.current_thread():
+        raise GranflowError(
+            f"This simulation belongs to the thread {owner.name}, which created it, and works in no other one: create "
+            f"and use it in the thread {threading.current_thread().name}, or leave all calls to {owner.name}. Other "
+            "threads may call request_stop and read time, step_count and stage."
+        )
 
 
 def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
@@ -74,7 +109,14 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
               `state_cache.restart` is not possible
     """
     global _started
+    refuse_forked_process()
     if _started is not None:
+        if _started.owner is not threading.current_thread():
+            raise GranflowError(
+                f"A simulation is in use in the thread {_started.owner.name}, and granflow runs in one thread of a "
+                'process at a time: end it by simulation.free(), or start a process with multiprocessing.get_context("'
+                'spawn").'
+            )
         if is_running_with(arch, precision, threads):
             return _started
         raise _refusal(_started, arch, precision, threads)

@@ -52,6 +52,7 @@ class CandidatePairs:
     surface: np.ndarray
 
 
+@np.errstate(all="ignore")  # velocities may be infinite
 def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 

@@ -123,6 +123,8 @@ def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
     description = _too_far(diagnosis, plan, time, plan.travel_limit)
     if diagnosis.pair is None:
         speed = diagnosis.body.speed
+        if not isfinite(speed):
+            return f"{description} Likely cause: a force that is too large or not a number."
         return f"{description} {remedy(plan.step.is_given, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
     cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
         diagnosis.time_step, "Likely cause: the force of this overlap"

@@ -1,6 +1,7 @@
 """Warnings during a run from values of the snapshots, without additional work in a step."""
 
 import logging
+from math import inf
 from typing import Any
 
 from granflow.engine.accounting import Accounting, energy_input
@@ -100,7 +101,7 @@ class StabilityMonitor:
 
     def _check_speed(self, time: float, speed: float) -> None:
         """Compare a fixed time step with the stable time step at the speed of the fastest particle."""
-        if self.plan.adaptive_time_step is not None or not speed > SPEED_INCREASE * self._fastest:
+        if self.plan.adaptive_time_step is not None or not SPEED_INCREASE * self._fastest < speed < inf:
             return
         self._fastest = speed
         stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in self.plan.pair_cases)

@@ -7,6 +7,7 @@ precision and threads can change.
 """
 
 import gc
+import threading
 import weakref
 from collections.abc import Hashable
 from typing import get_args
@@ -16,6 +17,7 @@ from granflow.engine import foreign_fields
 from granflow.engine.backend import Arch, Backend, Precision
 from granflow.engine.state import State
 from granflow.errors import GranflowError
+from granflow.io.machine import worker_count
 from granflow.plan.memory_estimate import estimate_memory
 from granflow.plan.plan import Plan
 from granflow.plan.structure import fits_lists, structure_of
@@ -40,13 +42,18 @@ def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None 
 
     threads:  CPU threads; None: as many as this process may use
     Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi runs with
-              other settings and a simulation, or a field of the program itself, is in use
+              other settings, or in another thread, and a simulation, or a field of the program itself, is in use
     """
+    worker_count(threads)  # refuses what is no number of threads before anything is stopped
     for name, value, known in (("arch", arch, get_args(Arch)), ("precision", precision, get_args(Precision))):
         if value not in known:
             raise GranflowError(f"{name} is {value!r}; give one of {', '.join(known)}.")
-    if taichi.running() is not None and not taichi.is_running_with(arch, precision, threads) and _is_unused():
-        _stop()
+    taichi.refuse_forked_process()
+    running = taichi.running()
+    if running is not None:
+        is_same = running.owner is threading.current_thread() and taichi.is_running_with(arch, precision, threads)
+        if not is_same and _is_unused():
+            _stop()
     return taichi.start(arch, precision, threads)
 
 

@@ -3,14 +3,16 @@
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
 from inspect import isfunction, signature
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
+from granflow.arguments import item_at, refuse_other, shown
 from granflow.device_functions import reason_of
 from granflow.engine.backend import Backend
 from granflow.engine.force.external_forces import compile_alone
 from granflow.errors import FunctionError, GranflowError
+from granflow.live.values import finite, real_array
 from granflow.plan.external_forces import ExternalForce, ParameterValue
 from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
@@ -27,7 +29,8 @@ class ForceParameters(MutableMapping[str, ParameterValue]):
     """
 
     def __init__(self, force: str, values: Mapping[str, Any]) -> None:
-        self._force, self._values = force, {}
+        refuse_other(f"{force}: parameters", values, Mapping, 'a mapping of names to numbers, such as {"k": 0.5}')
+        self._force, self._values = force, dict[str, ParameterValue]()
         for name, value in values.items():
             if not (isinstance(name, str) and name.isidentifier()):
                 raise GranflowError(f"{force}: the parameter {name!r} must be named like a Python variable.")
@@ -41,9 +44,13 @@ class ForceParameters(MutableMapping[str, ParameterValue]):
             names = ", ".join(self._values) or "none"
             raise GranflowError(f"{self._force} has no parameter {name}; its parameters are {names}.")
         checked = self._checked(name, value)
-        if isinstance(checked, tuple) != isinstance(self._values[name], tuple):
-            raise GranflowError(f"{self._force}: the parameter {name} must remain a {self._kind(name)}.")
+        self.refuse_other_kind(name, checked)
         self._values[name] = checked
+
+    def refuse_other_kind(self, name: str, value: ParameterValue) -> None:
+        """Raise GranflowError for a vector in place of a number, or the reverse."""
+        if isinstance(value, tuple) != isinstance(self._values[name], tuple):
+            raise GranflowError(f"{self._force}: the parameter {name} must remain a {self._kind(name)}.")
 
     def __delitem__(self, name: str) -> None:
         """Raises GranflowError: the function reads all parameters."""
@@ -63,14 +70,13 @@ class ForceParameters(MutableMapping[str, ParameterValue]):
 
     def _checked(self, name: str, value: Any) -> ParameterValue:
         """The value as a number or a tuple. Raises GranflowError."""
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.array([np.nan])
+        array = real_array(f"{self._force}: the parameter {name}", value)
         if array.shape not in ((), (3,)) or not np.isfinite(array).all():
             raise GranflowError(
-                f"{self._force}: the parameter {name} is {value!r}, but must be a finite number or a vector of three."
+                f"{self._force}: the parameter {name} is {shown(value)}, but must be a finite number or a vector of "
+                "three."
             )
+        finite(f"{self._force}: the parameter {name}", array)
         return float(array) if array.shape == () else (float(array[0]), float(array[1]), float(array[2]))
 
 
@@ -97,12 +103,52 @@ class ParticleForce:
     ) -> None:
         if not callable(function):
             raise GranflowError(f"ParticleForce requires a function, not {function!r}.")
-        self.function = function
-        self.name: str = name or str(getattr(function, "__name__", type(function).__name__))
+        refuse_other("name", name, (str, type(None)), 'a text, such as "drag"')
+        self._function = function
+        self._name: str = name or str(getattr(function, "__name__", type(function).__name__))
         _refuse_other_arguments(self.name, function)
         if getattr(function, "__name__", "") == "<lambda>":
             raise GranflowError("ParticleForce cannot compile a lambda: define the function with def.")
-        self.parameters = ForceParameters(f"force {self.name}", parameters or {})
+        self._parameters = ForceParameters(f"force {self.name}", {} if parameters is None else parameters)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Assign the parameters. Raises AttributeError for another attribute, which would have no effect."""
+        if name != "parameters" and not name.startswith("_"):
+            raise AttributeError(
+                f"ParticleForce.{name} cannot be set: assign to its parameters, or remove the force from "
+                "simulation.forces and append another one."
+            )
+        super().__setattr__(name, value)
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """The device function."""
+        return self._function
+
+    @property
+    def name(self) -> str:
+        """Name in messages and checkpoints."""
+        return self._name
+
+    @property
+    def parameters(self) -> ForceParameters:
+        """Values of the parameters by name; a mapping with the same names may be assigned.
+
+        Raises GranflowError for other names or values that are not valid; no value is changed then.
+        """
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, values: Mapping[str, Any]) -> None:
+        given = ForceParameters(f"force {self.name}", values)
+        if [*given] != [*self._parameters] and set(given) != set(self._parameters):
+            raise GranflowError(
+                f"force {self.name}: the parameters are {', '.join(given) or 'none'}, but must remain "
+                f"{', '.join(self._parameters) or 'none'}, which its function is compiled for."
+            )
+        for name, value in given.items():
+            self._parameters.refuse_other_kind(name, value)
+        self._parameters.update(given)
 
     @property
     def planned(self) -> ExternalForce:
@@ -134,7 +180,25 @@ class Forces(Sequence[ParticleForce]):
         self._state, self._forces = state, tuple(forces)
 
     def __getitem__(self, index: int) -> ParticleForce:  # type: ignore[override]
-        return self._forces[index]
+        """The force with an index. Raises GranflowError without such a force."""
+        return item_at("forces", self._forces, index)
+
+    def __iter__(self) -> Iterator[ParticleForce]:
+        return iter(self._forces)
+
+    def __setitem__(self, index: object, value: object) -> NoReturn:
+        """Raises GranflowError: `append` and `remove` change the list."""
+        raise GranflowError("forces[...] cannot be set: use forces.append and forces.remove.")
+
+    def __delitem__(self, index: object) -> NoReturn:
+        """Raises GranflowError: `remove` removes a force."""
+        raise GranflowError("forces[...] cannot be deleted: use forces.remove.")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raises AttributeError: the list has no attributes of its own."""
+        if not name.startswith("_"):
+            raise AttributeError(f"forces.{name} cannot be set: use forces.append and forces.remove.")
+        super().__setattr__(name, value)
 
     def __len__(self) -> int:
         return len(self._forces)
@@ -150,9 +214,9 @@ class Forces(Sequence[ParticleForce]):
         self._set(forces)
 
     def remove(self, force: ParticleForce) -> None:
-        """Remove a force. Raises ValueError if it is not in the list."""
+        """Remove a force. Raises GranflowError if it is not in the list."""
         if force not in self._forces:
-            raise ValueError(f"{force!r} is not a force of this simulation.")
+            raise GranflowError(f"{shown(force)} is not a force of this simulation.")
         self._set(tuple(each for each in self._forces if each is not force))
 
     def _set(self, forces: tuple[ParticleForce, ...]) -> None:
@@ -177,7 +241,7 @@ def refuse_invalid(forces: Sequence[ParticleForce]) -> None:
     """Raise GranflowError for an object that is not a force, or for a second force of the same name."""
     for force in forces:
         if not isinstance(force, ParticleForce):
-            raise GranflowError(f"A ParticleForce is required, not {force!r}.")
+            raise GranflowError(f"A ParticleForce is required, not {shown(force)}.")
     names = [force.name for force in forces]
     for name in {name for name in names if names.count(name) > 1}:
         raise GranflowError(f"The simulation has two forces {name}: give one of them another name=.")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from granflow.errors import GranflowError
+from granflow.live.values import real_array
 
 
 class ParticleArray(NDArrayOperatorsMixin):
@@ -42,9 +43,10 @@ class ParticleArray(NDArrayOperatorsMixin):
         present = self._read()
         if self._write is None:
             raise GranflowError(f"particles.{self._name} is read-only.")
-        changed = present.copy() if present.dtype.kind != "U" else present.astype(object)
+        is_text = present.dtype.kind == "U"
+        changed = present.astype(object) if is_text else present.copy()
         try:
-            changed[index] = np.asarray(values)
+            changed[index] = np.asarray(values) if is_text else real_array(f"particles.{self._name}", values)
         except (ValueError, IndexError, TypeError) as error:
             shape, selected = np.shape(values), _shape(present, index)
             if selected is None or shape in ((), selected):
@@ -68,7 +70,16 @@ class ParticleArray(NDArrayOperatorsMixin):
         return len(self._read())
 
     def __iter__(self) -> Iterator[Any]:
-        return iter(self._read())
+        """Iterate over copies that are read-only, because writing to them has no effect on the simulation."""
+        values = self._read()
+        values.flags.writeable = False
+        return iter(values)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Raises AttributeError: a name cannot be assigned, only an index."""
+        if not name.startswith("_"):
+            raise AttributeError(f"particles.{self._name}.{name} cannot be set: assign to particles.{self._name}[...].")
+        super().__setattr__(name, value)
 
     @property
     def shape(self) -> tuple[int, ...]:

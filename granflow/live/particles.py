@@ -12,8 +12,9 @@ from granflow.errors import GranflowError
 from granflow.geometry.sphere import sphere_mass
 from granflow.live.new_particles import particle_data, refuse_other_arguments, refuse_without_pair
 from granflow.live.particle_array import ParticleArray
-from granflow.live.values import finite, in_domain, named
+from granflow.live.values import finite, in_domain, named, real_array
 from granflow.runs.run_state import RunState
+from granflow.scene.suggest import suggestion_sentence
 
 LARGER = 2
 """Factor by which the capacity grows if there is no space for added particles."""
@@ -48,7 +49,8 @@ class LiveParticles:
         """Assignment to a property writes all particles; the result of an in-place operator is already written."""
         attribute = getattr(type(self), name, None)
         if not name.startswith("_") and not isinstance(attribute, property):
-            raise AttributeError(f"particles has no property {name}.")
+            known = [key for key, each in vars(type(self)).items() if isinstance(each, property) and key[0] != "_"]
+            raise AttributeError(f"particles has no property {name}. {suggestion_sentence(name, known, 'properties')}")
         if isinstance(attribute, property) and attribute.fset is None:
             getattr(self, name)[...] = value  # raises: the property follows from others
         super().__setattr__(name, value)
@@ -130,11 +132,11 @@ class LiveParticles:
 
         simulation.particles.velocity[simulation.particles.rows([3, 7])] = 0.0
         """
-        wanted, present = np.atleast_1d(np.asarray(ids)), np.asarray(self.id)
+        wanted, present = np.atleast_1d(real_array("particles.rows: ids", ids)), np.asarray(self.id)
         rows = np.searchsorted(present, wanted)
         absent = wanted[(rows >= len(present)) | (present[np.minimum(rows, len(present) - 1)] != wanted)]
         if len(absent):
-            raise GranflowError(f"particles.rows: no particle has the id {absent[0]}.")
+            raise GranflowError(f"particles.rows: no particle has the id {absent[0]:.10g}.")
         return rows
 
     def add(
@@ -179,7 +181,7 @@ class LiveParticles:
         indices = present_indices(engine.state)
         try:
             removed = indices[np.asarray(mask)]
-        except IndexError as error:
+        except (IndexError, TypeError, ValueError) as error:
             raise GranflowError(f"particles.remove: {error}, but there are {len(indices)} particles.") from None
         if np.size(removed):
             engine.begin_change()

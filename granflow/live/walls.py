@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NoReturn
 
 from granflow.engine.snapshots import wall_poses
 from granflow.errors import GranflowError
@@ -20,7 +20,21 @@ class LiveWall:
     """One wall of a simulation; changes take effect with the next step."""
 
     def __init__(self, state: RunState, name: str) -> None:
-        self._state, self.name = state, name
+        self._state, self._name = state, name
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Assign a motion. Raises AttributeError for another attribute, which would have no effect."""
+        if name != "motion" and not name.startswith("_"):
+            raise AttributeError(
+                f"walls[{self._name!r}].{name} cannot be set: assign a motion, such as walls[{self._name!r}].motion = "
+                "granflow.Translation(velocity=[0, 0, 0.1]), or remove the wall."
+            )
+        super().__setattr__(name, value)
+
+    @property
+    def name(self) -> str:
+        """Name of the wall in the scene."""
+        return self._name
 
     def __repr__(self) -> str:
         return f"<wall {self.name}, {'present' if self.is_present else 'not present'}>"
@@ -88,6 +102,23 @@ class LiveWalls(Mapping[str, LiveWall]):
     def __getitem__(self, name: str) -> LiveWall:
         """The wall with this name. Raises GranflowError for an unknown one."""
         return LiveWall(self._state, wall_named(self._state.plan, name).name)
+
+    def __setitem__(self, name: str, value: object) -> NoReturn:
+        """Raises GranflowError: walls are those of the scene."""
+        raise GranflowError(
+            f"walls[{name!r}] cannot be set: walls are those of the scene; assign a motion, such as "
+            f"walls[{name!r}].motion = granflow.Translation(velocity=[0, 0, 0.1])."
+        )
+
+    def __delitem__(self, name: str) -> NoReturn:
+        """Raises GranflowError: `remove` of a wall does it at the present time."""
+        raise GranflowError(f"walls[{name!r}] cannot be deleted: call walls[{name!r}].remove().")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raises AttributeError: walls have no attributes of their own."""
+        if not name.startswith("_"):
+            raise AttributeError(f"walls.{name} cannot be set: walls are found by name, walls[{name!r}].")
+        super().__setattr__(name, value)
 
     def __iter__(self) -> Iterator[str]:
         return iter([wall.name for wall in self._state.plan.walls])

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from granflow.arguments import path_of, refuse_other, shown
 from granflow.errors import GranflowError
 from granflow.fields import METRIC_QUANTITIES
 from granflow.io.tables import write_table
@@ -32,6 +33,9 @@ def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, so
     Raises GranflowError if the scene requests nothing, or if snapshots lack contacts.
     """
     plan = plan_for(scene)
+    out = path_of("out", out)
+    if isinstance(snapshots, Snapshot) or not isinstance(snapshots, Iterable):
+        raise GranflowError(f"snapshots is {shown(snapshots)}, but must be a list of snapshots of granflow.read_run.")
     meters = metric_meters(plan)
     fields = [field_frames(plan, name, spec, out) for name, spec in scene.output.fields.items()]
     if not meters and not fields:
@@ -42,6 +46,7 @@ def analyze_snapshots(scene: Scene, snapshots: Iterable[Snapshot], out: Path, so
     readers: list[MetricMeter | FieldFrames] = [*meters.values(), *fields]
     rows = []
     for snapshot in snapshots:
+        refuse_other("a snapshot", snapshot, Snapshot, "one of granflow.read_run or Simulation.snapshot")
         if snapshot.contacts is None and any(CONTACTS in each.wants for each in readers):
             raise GranflowError(
                 f"{source} has no frames of contacts, which fabric and contact stress require: run the scene with "

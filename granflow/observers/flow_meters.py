@@ -4,10 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import nan, sqrt
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from granflow.arguments import items_of, shown
+from granflow.errors import GranflowError
 from granflow.geometry.periodic_box import PeriodicBox
 from granflow.snapshot import Snapshot
 
@@ -233,9 +236,13 @@ def steady_flow(history: Sequence[tuple[float, str, float]]) -> float:
     >>> gf.steady_flow([(0.0, "run", 0.0), (1.0, "run", 0.5), (2.0, "run", 1.0)])
     0.5
     """
-    times = np.array([time for time, _, _ in history])
-    masses = np.array([mass for _, _, mass in history])
-    for first, last in reversed(_stages(history)):
+    rows = items_of("history", history, "(time [s], stage, mass [kg])")
+    for row in rows:
+        if not (isinstance(row, tuple | list) and len(row) == 3 and all(isinstance(row[k], Real) for k in (0, 2))):
+            raise GranflowError(f"history contains {shown(row)}, but must have rows of time [s], stage, mass [kg].")
+    times = np.array([time for time, _, _ in rows])
+    masses = np.array([mass for _, _, mass in rows])
+    for first, last in reversed(_stages(rows)):
         passed = masses[last] - masses[first]
         if passed != 0:
             share = (masses[first : last + 1] - masses[first]) / passed

@@ -1,7 +1,10 @@
 """Due times at a regular interval."""
 
 import math
+import weakref
 from typing import Any
+
+from granflow.errors import GranflowError
 
 # A time that precedes a due time by less than this fraction of the interval counts as due: the simulated clock is
 # rounded, and a frame one step later would duplicate the state.
@@ -11,12 +14,12 @@ EARLY_FRACTION = 1e-3
 class Schedule:
     """Due times `start + k * interval` [s], k = 0, 1, 2, ..., without accumulation of rounding errors.
 
-    Raises ValueError unless the interval is positive and finite.
+    Raises GranflowError unless the interval is positive and finite.
     """
 
     def __init__(self, interval: float, start: float = 0.0) -> None:
         if not (interval > 0 and math.isfinite(interval)):
-            raise ValueError(f"interval is {interval} s, but must be positive and finite.")
+            raise GranflowError(f"interval is {interval} s, but must be positive and finite.")
         self.interval = interval
         self.start = start
         self._count = 0
@@ -30,6 +33,10 @@ class Schedule:
     def last_time(self) -> float | None:
         """The last time marked as done [s]: the only state of a schedule."""
         return self._last_time
+
+    def reset(self) -> None:
+        """Begin again."""
+        self._count, self._last_time = 0, None
 
     def resume_after(self, last_time: float | None) -> None:
         """Continue after a time [s] of an earlier run, which may have used another interval."""
@@ -56,6 +63,33 @@ class ScheduledObserver:
 
     def __init__(self, interval: float, start: float = 0.0) -> None:
         self._schedule = Schedule(interval, start)
+        self._run: weakref.ref[object] | None = None
+
+    @property
+    def interval(self) -> float:
+        """Interval [s]; fixed: another observer has another one."""
+        return self._schedule.interval
+
+    @interval.setter
+    def interval(self, value: object) -> None:
+        raise AttributeError(
+            f"interval of {getattr(self, 'name', type(self).__name__)} cannot be set: remove the observer from "
+            "simulation.observers and append another one, granflow.on_interval(interval, function)."
+        )
+
+    def begin(self, run: object) -> bool:
+        """Belong to a run from its start on; False if another run, which has not ended, already has this observer."""
+        other = None if self._run is None else self._run()
+        if other is not None and other is not run:
+            return False
+        if other is None:
+            self._schedule.reset()
+        self._run = weakref.ref(run)
+        return True
+
+    def end(self) -> None:
+        """Belong to no run any more."""
+        self._run = None
 
     def next_time(self) -> float:
         """Return the time of the next snapshot [s]."""

@@ -6,6 +6,8 @@ from functools import partial
 
 import numpy as np
 
+from granflow.arguments import shown
+from granflow.errors import GranflowError
 from granflow.geometry.quaternion import about, random_orientations
 from granflow.particles.group import SceneGroup
 from granflow.particles.packing import RegionFullError
@@ -35,6 +37,19 @@ class ParticleData:
     material: np.ndarray
     group: np.ndarray
     orientation: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.radius)
+        vectors = ("position", "velocity", "angular_velocity")
+        expected = dict.fromkeys(("radius", "material", "group"), shape) | dict.fromkeys(vectors, (*shape, 3))
+        for name, wanted in expected.items():
+            values = getattr(self, name)
+            if not isinstance(values, np.ndarray) or values.dtype.kind not in "iuf" or len(shape) != 1:
+                raise GranflowError(f"ParticleData: {name} is {shown(values)}, but must be an array of numbers.")
+            if values.shape != wanted:
+                raise GranflowError(
+                    f"ParticleData: {name} has the shape {values.shape}, but must have {wanted}, as radius has {shape}."
+                )
 
     def __len__(self) -> int:
         return len(self.radius)

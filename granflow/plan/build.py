@@ -9,7 +9,7 @@ import numpy as np
 from granflow.contact.normal_law import NormalLaw
 from granflow.errors import SceneError
 from granflow.geometry.mesh.mesh import Mesh
-from granflow.load import Scene
+from granflow.load import Scene, refuse_other_object
 from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
 from granflow.plan.damping import planned_damping, refuse_unresolved_drag
 from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
@@ -76,6 +76,7 @@ def plan_for(scene: Scene, on_gpu: bool = False) -> Plan:
     >>> gf.plan_for(gf.load_scene("two.yaml")).step.value > 0
     True
     """
+    refuse_other_object(scene)
     try:
         plan = _plan_without_forecasts(scene, on_gpu)
     except SceneError as error:  # errors of time step and velocities can result from a wrong unit of a length

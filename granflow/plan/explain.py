@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from math import ceil
 from typing import NamedTuple
 
+from granflow.arguments import refuse_other
 from granflow.geometry.motion_table import TableRotation, TableTranslation
 from granflow.geometry.sphere import sphere_mass
 from granflow.plan.feature_reasons import Reason
@@ -47,6 +48,7 @@ def explain(plan: Plan, on_gpu: bool = False) -> str:
     >>> print(gf.explain(gf.plan_for(gf.load_scene("two.yaml"))).splitlines()[0])
     Two steel spheres (two.yaml)
     """
+    refuse_other("plan", plan, Plan, "a plan of granflow.plan_for")
     memory = estimate_memory(plan, plan.precision)
     sections = {
         "Features": [_feature_row(reason) for reason in plan.reasons],

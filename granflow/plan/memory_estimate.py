@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 from itertools import groupby
+from typing import get_args
 
+from granflow.arguments import refuse_other, shown
+from granflow.errors import GranflowError
 from granflow.plan.capacities import Capacities
 from granflow.plan.device_arrays import (
     Precision,
@@ -53,6 +56,9 @@ def estimate_memory(plan: Plan, precision: Precision, capacities: Capacities | N
     >>> gf.estimate_memory(gf.plan_for(gf.load_scene("two.yaml")), "f64").total > 0
     True
     """
+    refuse_other("plan", plan, Plan, "a plan of granflow.plan_for")
+    if precision not in get_args(Precision):
+        raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
     capacities = capacities or plan.capacities
     lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
     particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)

@@ -26,7 +26,7 @@ def initial_state(
             raise GranflowError("A resumed run has the particles of its checkpoint: leave particles out.")
         return None, list(resumed.saved["earlier"])
     if given is not None:
-        _refuse_others(plan, given)
+        refuse_other_particles(plan, given)
         return given, [group.name for number, group in enumerate(plan.groups) if number in given.group]
     earlier = particles_from_run(scene)
     return initial_particles(scene, earlier), list(earlier)
@@ -38,7 +38,7 @@ def warnings_before(scene: Scene, plan: Plan, initial: ParticleData | None) -> l
     return [*plan.warnings, *inside]
 
 
-def _refuse_others(plan: Plan, given: ParticleData) -> None:
+def refuse_other_particles(plan: Plan, given: ParticleData) -> None:
     """Raise GranflowError for particles that are not those of the groups, for which the plan was made."""
     count = len(given)
     if plan.features.clumps:

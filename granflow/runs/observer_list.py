@@ -1,11 +1,14 @@
 """The observers of a run: one snapshot for all that are due, their readings, and their state."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
+from typing import NoReturn
 
+from granflow.arguments import item_at, items_of, shown
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.observers.base import Checkpointable, Observer, WritesFiles
+from granflow.observers.interval import refuse_generator
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.timeseries import Row, TimeSeries
 from granflow.runs.timings import Readings
@@ -27,12 +30,40 @@ class ObserverList(Sequence[Observer]):
 
     def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
         refuse_other_objects(added)
+        for observer in added:
+            self._begin(observer)
         self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
         self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
 
     def __getitem__(self, index: int) -> Observer:  # type: ignore[override]
-        return self._observers[index]
+        """The observer with an index. Raises GranflowError without such an observer."""
+        return item_at("observers", self._observers, index)
+
+    def __iter__(self) -> Iterator[Observer]:
+        return iter(self._observers)
+
+    def __setitem__(self, index: object, value: object) -> NoReturn:
+        """Raises GranflowError: `append` and `remove` change the list."""
+        raise GranflowError("observers[...] cannot be set: use observers.append and observers.remove.")
+
+    def __delitem__(self, index: object) -> NoReturn:
+        """Raises GranflowError: `remove` removes an observer."""
+        raise GranflowError("observers[...] cannot be deleted: use observers.remove.")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Raises AttributeError: the list has no attributes of its own."""
+        if not name.startswith("_"):
+            raise AttributeError(f"observers.{name} cannot be set: use observers.append and observers.remove.")
+        super().__setattr__(name, value)
+
+    def _begin(self, observer: Observer) -> None:
+        """Take an observer into this run. Raises GranflowError if it belongs to another one, which has not ended."""
+        if isinstance(observer, ScheduledObserver) and not observer.begin(self):
+            raise GranflowError(
+                f"{name_of(observer)} is an observer of another simulation, which has not been freed: create one for "
+                "each simulation with granflow.on_interval(interval, function)."
+            )
 
     def __len__(self) -> int:
         return len(self._observers)
@@ -46,16 +77,21 @@ class ObserverList(Sequence[Observer]):
         Raises GranflowError for another object, such as a function without an interval.
         """
         refuse_other_objects([observer])
+        if observer in self._observers:
+            raise GranflowError(f"{name_of(observer)} is an observer of this simulation already.")
+        self._begin(observer)
         if self._last_time is not None and isinstance(observer, ScheduledObserver):
             observer.skip_to(self._last_time)
         self._observers = (*self._observers, observer)
 
     def remove(self, observer: Observer) -> None:
-        """Remove an observer and close its files. Raises ValueError if it is not in the list."""
+        """Remove an observer and close its files. Raises GranflowError if it is not in the list."""
         if observer not in self._observers:
-            raise ValueError(f"{name_of(observer)} is not an observer of this simulation.")
+            raise GranflowError(f"{name_of(observer)} is not an observer of this simulation.")
         self._observers = tuple(each for each in self._observers if each is not observer)
         observer.finish()
+        if isinstance(observer, ScheduledObserver):
+            observer.end()
 
     def next_time(self) -> float:
         """Return the simulated time [s] of the next due observer; infinite without."""
@@ -159,13 +195,20 @@ class ObserverList(Sequence[Observer]):
         for observer in self._observers:
             observer.finish()
 
+    def end(self) -> None:
+        """Leave the observers to later simulations."""
+        for observer in self._observers:
+            if isinstance(observer, ScheduledObserver):
+                observer.end()
+
 
 def refuse_other_objects(given: Sequence[object]) -> None:
     """Raise GranflowError for an object that is not an observer."""
-    for each in given:
+    for each in items_of("observers", given, "observers, such as granflow.on_interval(interval, function)"):
         if not all(hasattr(each, name) for name in ("wants", "next_time", "observe", "finish")):
-            name = getattr(each, "__name__", repr(each))
+            name = getattr(each, "__name__", shown(each))
             raise GranflowError(f"{name} is not an observer: give granflow.on_interval(interval, {name}).")
+        refuse_generator(each.observe)
 
 
 def name_of(observer: Observer) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from granflow.arguments import path_of
 from granflow.errors import GranflowError
 from granflow.geometry.sphere import sphere_mass
 from granflow.io.frame_reader import read_mesh, require_directory
@@ -56,7 +57,7 @@ def read_run(directory: str | os.PathLike[str]) -> "Run":
     >>> float(run.timeseries_arrays["kinetic_energy"][-1]) > 0
     True
     """
-    path = Path(directory)
+    path = path_of("directory", directory)
     require_directory(path)
     if not any((path / name).exists() for name in RUN_FILES):
         raise GranflowError(f"{path} is not the directory of a run: it contains none of {', '.join(RUN_FILES)}.")

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +57,10 @@ class Result:
         """Return this result with the evaluated expectations of the scene; the other fields are the same."""
         return replace(self, expectations=tuple(evaluate(expectations, self.numbers)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings cannot be pickled.
+        return Result, tuple(_plain(getattr(self, each.name)) for each in fields(self))
+
     def __repr__(self) -> str:
         """One line: simulated time [s], steps, particles, expectations."""
         return f"<Result: {', '.join(f'{label} {text}' for label, text in self._summary())}>"
@@ -89,6 +93,11 @@ class Result:
         for part, readings in (reading for each in parts for reading in each.items()):
             named.update({f"{quantity}.{part}": number for quantity, number in readings.items()})
         return named
+
+
+def _plain(value: Any) -> Any:
+    """A value with mappings as dictionaries."""
+    return {key: _plain(each) for key, each in value.items()} if isinstance(value, Mapping) else value
 
 
 def write_result(directory: Path, result: Result) -> Path:

@@ -4,8 +4,10 @@ import time as clock
 from copy import deepcopy
 from dataclasses import dataclass
 from math import inf
+from threading import Thread
 from typing import Any
 
+from granflow.engine.backend import refuse_other_thread
 from granflow.engine.checkpoint import (
     RankFileWriter,
     keep_particles,
@@ -14,6 +16,7 @@ from granflow.engine.checkpoint import (
     saved_particles,
     saved_sums_and_clocks,
 )
+from granflow.engine.clock import Clock
 from granflow.engine.engine import Engine
 from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
@@ -46,18 +49,45 @@ class RunState:
         earlier: list[str],
         original: Plan,
     ) -> None:
-        self.engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
+        self._engine, self.insertion, self.observers, self.wall_clock = engine, insertion, observers, wall_clock
         self.progress = StageProgress.of(engine.plan)
         self.plan = engine.plan
         self._original = original
         self._earlier, self._walls_changed = earlier, False
         engine.set_stage(self.progress.stage)
 
+    @property
+    def engine(self) -> Engine:
+        """The engine of the run. Raises GranflowError in another thread than its own, or in a forked process."""
+        refuse_other_thread(self.owner)
+        return self._engine
+
+    @property
+    def owner(self) -> Thread:
+        """The thread of the run."""
+        return self._engine.state.backend.owner
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the run, which every thread may read."""
+        return self._engine.state.clock
+
+    def interrupt(self) -> None:
+        """End the present steps after their launch; in any thread, and in a signal handler."""
+        self._engine.stepper.interrupted = True
+
+    def free(self) -> None:
+        """Release the device memory; also in another thread, if that of the run has ended."""
+        if self.owner.is_alive():
+            refuse_other_thread(self.owner)
+        self._engine.free()
+
     def prepare(self) -> None:
         """Continue with an engine for `plan`, which may have changed; compiles new features."""
-        if self.plan is not self.engine.plan:
-            self.engine = with_plan(self.engine, self.plan)
-            self.engine.set_stage(self.progress.stage)
+        engine = self.engine
+        if self.plan is not engine.plan:
+            self._engine = with_plan(engine, self.plan)
+            self._engine.set_stage(self.progress.stage)
         if self._walls_changed and self.progress.stage_times:
             self.progress.set_walls(self.engine)
         self._walls_changed = False

@@ -2,6 +2,7 @@
 
 from math import inf, isfinite
 
+from granflow.errors import GranflowError
 from granflow.scene.schema.units import seconds_of
 
 
@@ -10,18 +11,18 @@ def end_of_run(until: float | str | None, duration: float | str | None, now: flo
 
     now:        present time [s]
     time_step:  present time step [s]
-    Raises:     ValueError
+    Raises:     GranflowError
     """
     until, duration = (
         None if time is None else seconds_of(name, time) for name, time in (("until", until), ("duration", duration))
     )
     if until is not None and duration is not None:
-        raise ValueError("run takes until or duration, not both.")
+        raise GranflowError("run takes until or duration, not both.")
     if until is not None and until < now - time_step:
-        raise ValueError(f"until is {until:g} s, but the simulation is at {now:g} s.")
+        raise GranflowError(f"until is {until:g} s, but the simulation is at {now:g} s.")
     for name, time in (("until", until), ("duration", duration)):
         if time is not None and not isfinite(now + time):
-            raise ValueError(f"{name} is {time} s, but must be finite.")
+            raise GranflowError(f"{name} is {time} s, but must be finite.")
     if duration is not None and duration < 0.0:
-        raise ValueError(f"duration is {duration:g} s, but must not be negative.")
+        raise GranflowError(f"duration is {duration:g} s, but must not be negative.")
     return now + duration if duration is not None else inf if until is None else until

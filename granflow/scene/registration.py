@@ -3,10 +3,12 @@
 from collections.abc import Iterator
 from inspect import unwrap
 
+from granflow.arguments import refuse_other, shown
 from granflow.contact import registry
 from granflow.contact.branches import run_time_branches, source_lines
-from granflow.contact.model import ContactModel
+from granflow.contact.model import SLOTS, ContactModel
 from granflow.contact.options import Amount, Choice
+from granflow.errors import GranflowError
 from granflow.scene import partial
 from granflow.scene.reference import schema_keys
 from granflow.scene.schema import contact, materials
@@ -26,41 +28,48 @@ def register_contact_model(model: ContactModel) -> None:
 
         gf.register_contact_model(ContactModel(MyCohesion, "what it does, in one sentence"))
 
-    Raises ValueError for a record that is not valid, or a name that exists.
+    Raises GranflowError for a record that is not valid, or a name that exists.
     """
+    refuse_other("model", model, ContactModel, "a ContactModel with a law, see the guide")
+    if not (isinstance(model.law, type) and issubclass(model.law, tuple(SLOTS.values()))):
+        bases = ", ".join(base.__name__ for base in SLOTS.values())
+        raise GranflowError(f"the law of a contact model is {shown(model.law)}, but must be a subclass of {bases}.")
     for amount in _amounts(model):
         if amount.dimension not in DIMENSIONS:
-            raise ValueError(
+            raise GranflowError(
                 f"contact model {model.law.__name__}: the dimension {amount.dimension} is not one of "
                 f"{', '.join(DIMENSIONS)}"
             )
     _refuse_without_source(model)
     _refuse_branches(model)
-    registry.add(model)
+    try:
+        registry.add(model)
+    except ValueError as error:
+        raise GranflowError(str(error)) from None
     _use_registry()
 
 
 def _refuse_without_source(model: ContactModel) -> None:
-    """Raise ValueError if the text of a device function is not available, which the kernel language compiles."""
+    """Raise GranflowError if the text of a device function is not available, which the kernel language compiles."""
     for name in ("force", "torque"):
         try:
             source_lines(unwrap(getattr(model.law, name, registry.add)))
         except ValueError as error:
-            raise ValueError(f"contact model {model.law.__name__}: {error}") from None
+            raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
 
 
 def _refuse_branches(model: ContactModel) -> None:
-    """Raise ValueError for a branch in a function of a vectorized loop, or a called function without source."""
+    """Raise GranflowError for a branch in a function of a vectorized loop, or a called function without source."""
     if not getattr(model.law, "branch_free", True):
         return
     for name in [each for each in VECTORIZED if hasattr(model.law, each)]:
         try:
             places = [*run_time_branches(getattr(model.law, name))]
         except ValueError as error:
-            raise ValueError(f"contact model {model.law.__name__}: {error}") from None
+            raise GranflowError(f"contact model {model.law.__name__}: {error}") from None
         if places:
             remedy = "use ti.select" + (", or set branch_free = False" if hasattr(model.law, "branch_free") else "")
-            raise ValueError(
+            raise GranflowError(
                 f"contact model {model.law.__name__}: {places[0]}: {name} has a branch that depends on the contact, in "
                 f"a loop that must be vectorized; {remedy}"
             )

@@ -244,7 +244,7 @@ class Calling(Faulty):
 )
 def test_a_branch_in_a_vectorized_function_is_refused_at_registration(law, function, line):
     """Without the refusal the process ends with a segmentation fault when the first scene is compiled."""
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(gf.GranflowError) as error:
         gf.register_contact_model(ContactModel(law, "has a branch"))
     assert str(error.value) == (
         f"contact model {law.__name__}: {position_of(function, line)}: force has a branch that depends on the "
@@ -261,7 +261,7 @@ class CallingGenerated(Faulty):
 
 
 def test_a_called_function_without_source_is_refused_at_registration():
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(gf.GranflowError) as error:
         gf.register_contact_model(ContactModel(CallingGenerated, "calls a function of exec"))
     assert str(error.value) == (
         "contact model CallingGenerated: the source of generated is not available, which is compiled from it; define "

@@ -97,7 +97,7 @@ def test_exception_of_the_script_leaves_a_checkpoint(tmp_path, taichi_f64):
 
 @pytest.mark.parametrize("arguments", [{"until": float("nan")}, {"duration": -1.0}, {"until": 1.0, "duration": 1.0}])
 def test_times_that_are_not_valid_are_refused(arguments, taichi_f64):
-    with gf.Simulation(falling()) as simulation, pytest.raises(ValueError, match="until|duration"):
+    with gf.Simulation(falling()) as simulation, pytest.raises(gf.GranflowError, match="until|duration"):
         simulation.run(**arguments)
 
 
@@ -139,7 +139,7 @@ def test_times_of_runs_have_units(taichi_f64):
         assert 0.0 <= first - 1e-3 <= simulation.time_step
         simulation.run(duration="0.5 ms")
         assert 0.0 <= simulation.time - first - 0.5e-3 <= 1.01 * simulation.time_step
-        with pytest.raises(ValueError, match="until"):
+        with pytest.raises(gf.GranflowError, match="until"):
             simulation.run(until="2 kg")
 
 

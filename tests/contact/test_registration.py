@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from contact.test_external_models import Sticky
 
-from granflow import Scene, load_scene, register_contact_model
+from granflow import GranflowError, Scene, load_scene, register_contact_model
 from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal_law import NormalLaw
@@ -35,7 +35,7 @@ class Incomplete(NormalLaw):
 )
 def test_incomplete_models_are_refused_at_registration(model, message):
     """Without the refusal, the first scene fails with a traceback from the time step or the kernels."""
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(GranflowError, match=message):
         register_contact_model(model)
 
 
@@ -43,7 +43,7 @@ def test_a_model_without_source_is_refused_at_registration():
     """As in the interactive interpreter: the kernel language compiles the text of the functions."""
     names: dict = {"ti": ti, "Sticky": Sticky}
     exec("class Typed(Sticky):\n    @ti.func\n    def force(self, *values):\n        return 0.0, values[2]", names)
-    with pytest.raises(ValueError, match="the source of force is not available, .*; define it in a file"):
+    with pytest.raises(GranflowError, match="the source of force is not available, .*; define it in a file"):
         register_contact_model(ContactModel(names["Typed"], "x"))
 
 

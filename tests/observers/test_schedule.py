@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from observers.snapshots import snapshot_of
 
+from granflow.errors import GranflowError
 from granflow.observers.interval import on_interval
 from granflow.observers.schedule import Schedule
 
@@ -47,7 +48,7 @@ def test_time_before_the_due_time_keeps_the_due_time():
 
 @pytest.mark.parametrize("interval", [0.0, -1.0, float("inf"), float("nan")])
 def test_interval_must_be_positive_and_finite(interval):
-    with pytest.raises(ValueError, match="interval"):
+    with pytest.raises(GranflowError, match="interval"):
         Schedule(interval)
 
 

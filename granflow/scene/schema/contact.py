@@ -1,7 +1,7 @@
 """Schema of `contact`, generated from the options of the registered contact models."""
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
 from pydantic import Field, Tag, create_model
 from pydantic.fields import FieldInfo
@@ -17,6 +17,7 @@ class LawSettings(Model):
     """A contact model and its options; base class of one schema class per contact model with options."""
 
     law: str
+    of: ClassVar[ContactModel | None] = None
 
     @property
     def record(self) -> ContactModel:
@@ -127,14 +128,20 @@ def _slot_tagger(words: tuple[str, ...], models: dict[str, type[LawSettings]]) -
 
 
 def _model(model: ContactModel) -> type[LawSettings]:
-    """The schema class of one contact model, with a field for each of its options."""
+    """The schema class of one contact model, with a field for each of its options; the same at each call."""
+    name = f"{_camel(model.name)}{_camel(model.slot)}"
+    known = globals().get(name)
+    if known is not None and known.of is model:
+        return known
     fields: dict[str, Any] = {
         "law": (Literal[model.name], Field(description=f"name of the {model.slot} contact model"))
     }
     for key, option in model.options.items():
         fields[key] = (_annotation(option, f"{model.name}_{key}"), _field(option))
-    name = f"{_camel(model.name)}{_camel(model.slot)}"
-    return create_model(name, __base__=LawSettings, __doc__=model.summary, **fields)
+    created = create_model(name, __base__=LawSettings, __doc__=model.summary, **fields)
+    created.of = model
+    globals()[name] = created  # where pickle finds it
+    return created
 
 
 def _field(setting: Option) -> Any:
@@ -160,7 +167,9 @@ def _annotation(setting: Option, name: str) -> Any:
 def _keyed(key: str, amount: Amount, name: str) -> type[Model]:
     """The schema class of a parameter value that is a mapping with a single key and a number."""
     fields: dict[str, Any] = {key: (_annotation(amount, name), _field(amount))}
-    return create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
+    created = create_model(_camel(name), __base__=Model, __doc__=amount.description, **fields)
+    globals()[_camel(name)] = created  # where pickle finds it
+    return created
 
 
 def _examples(setting: Choice) -> list[str]:

@@ -57,6 +57,15 @@ class Model(BaseModel):
     # pydantic then validates nested parts itself, with their key paths in the errors, as for RootModel
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Raises AttributeError: a scene and its parts are immutable."""
+        if not name.startswith("_"):
+            raise AttributeError(
+                f"{type(self).__name__}.{name} cannot be set: a scene and its parts are immutable; create another one, "
+                "for example with Scene.from_dict."
+            )
+        super().__setattr__(name, value)
+
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
         """Yield the keys that differ from their defaults, for `repr`."""
         hidden = selecting_keys(type(self))

@@ -6,6 +6,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Real
+
+from granflow.arguments import shown
+from granflow.errors import GranflowError
 
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
@@ -188,11 +192,15 @@ def si_unit_of(unit: str) -> str:
 
 
 def seconds_of(name: str, time: float | str) -> float:
-    """The argument `name` of a function, a number [s] or text with a unit such as "1 ms", in s. Raises ValueError."""
+    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises GranflowError."""
     try:
-        return to_si(time, "time") if isinstance(time, str) else float(time)
+        if isinstance(time, str):
+            return to_si(time, "time")
+        if isinstance(time, bool) or not isinstance(time, Real):
+            raise GranflowError(f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").')
+        return float(time)
     except UnitError as error:
-        raise ValueError(f"{name} is {time}, but {error}.") from None
+        raise GranflowError(f"{name} is {time}, but {error}.") from None
 
 
 def _factor(unit: str, dimension: str) -> Fraction:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from granflow.arguments import path_of, whole_number
 from granflow.errors import GranflowError
 from granflow.studies.calibration.run import read_calibration, run_calibration
 
@@ -35,7 +36,9 @@ def calibrate(
             "granflow.calibrate returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
     study = read_calibration(source)
-    result = run_calibration(study, Path(out or Path("out") / study.name), jobs, threads)
+    out = Path("out") / study.name if out is None else path_of("out", out)
+    jobs = None if jobs is None else whole_number("jobs", jobs, 1)
+    result = run_calibration(study, out, jobs, whole_number("threads", threads, 1))
     if result is None:
         raise GranflowError("No trial was completed, so there are no best values.")
     table = pandas.DataFrame(

@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import Any
 
+from granflow.arguments import refuse_other
 from granflow.errors import FileError, GranflowError
 from granflow.io.lock import locked
 from granflow.io.machine import worker_count
@@ -52,6 +53,7 @@ def read_calibration(source: str | os.PathLike[str] | Mapping[str, Any]) -> Cali
 
     Paths are relative to the folder of the file, or to the working directory. Raises FileError with all problems.
     """
+    refuse_other("source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys")
     if isinstance(source, Mapping):
         content, document = validated_mapping(source, CalibrationInput)
         folder, name = Path(), "calibration"

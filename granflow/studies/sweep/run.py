@@ -9,6 +9,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from granflow.arguments import refuse_other
 from granflow.errors import FileError, GranflowError, SceneError
 from granflow.io.lock import locked
 from granflow.scene.validated_file import validated_file, validated_mapping
@@ -63,6 +64,7 @@ def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
     The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with all
     problems.
     """
+    refuse_other("source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys")
     if isinstance(source, Mapping):
         content, document = validated_mapping(source, SweepInput)
         folder, name = Path(), "sweep"

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from granflow.arguments import path_of, whole_number
 from granflow.errors import GranflowError
 from granflow.studies.run_processes.executors import Workers
 from granflow.studies.sweep.run import read_sweep, run_sweep
@@ -37,5 +38,8 @@ def sweep(
             "granflow.sweep returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
     study = read_sweep(source)
-    table = run_sweep(study, Path(out or Path("out") / study.name), Workers(jobs, threads, scheduler), arch)
+    out = Path("out") / study.name if out is None else path_of("out", out)
+    jobs = None if jobs is None else whole_number("jobs", jobs, 1)
+    threads = whole_number("threads", threads, 1)
+    table = run_sweep(study, out, Workers(jobs, threads, scheduler), arch)
     return pandas.DataFrame(table.columns())

@@ -1,0 +1,350 @@
+"""Use that cannot be meant: other types, other threads, forks, calls from observers; each has one clear sentence."""
+
+import copy
+import multiprocessing
+import pickle
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scene_builders import build_scene, particle_group, plane
+from subprocess_runner import in_subprocess
+
+import granflow as gf
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+
+
+def drag(position, velocity, radius, mass, time, parameters):
+    return -parameters.rate * mass * velocity
+
+
+def scene():
+    """Two particles that fall on a floor within 4 ms."""
+    groups = {"beads": particle_group([[0.0, 0.0, 0.0052], [0.02, 0.0, 0.006]])}
+    return build_scene(
+        groups, {"floor": plane([0, 0, 0], [0, 0, 1])}, pair={"friction": 0.3}, gravity=[0.0, 0.0, -9.81],
+        run={"duration": 0.004, "velocity_max": 1.0},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def simulation(taichi_f64):
+    """A simulation with a force and an observer after three steps."""
+    force = gf.ParticleForce(drag, {"rate": 0.5})
+    with gf.Simulation(scene(), forces=[force], observers=[gf.on_interval(1e-3, seen)]) as found:
+        found.step(3)
+        yield found
+
+
+def seen(snapshot):
+    """Does nothing."""
+
+
+VECTORS, NUMBERS = np.zeros((2, 3)), np.zeros(2, dtype=np.int32)
+WRONG = {
+    "load_scene": (lambda _: gf.load_scene(5), "path is 5, but must be a path"),
+    "load_scene overrides": (lambda _: gf.load_scene("a.yaml", "run.duration=1"), "overrides is 'run.duration=1', but"),
+    "load_scene override": (lambda _: gf.load_scene("a.yaml", [5]), "an override is 5, but must be a text"),
+    "Scene.from_dict": (lambda _: gf.Scene.from_dict(scene().to_dict(), 5), "folder is 5, but must be a path"),
+    "Scene.save": (lambda _: scene().save(None), "path is None, but must be a path"),
+    "Scene.with_precision": (lambda _: scene().with_precision("f16"), "precision is 'f16'; give one of f64, f32"),
+    "read_run": (lambda _: gf.read_run(["out"]), "directory is ['out'], but must be a path"),
+    "plan_for": (lambda _: gf.plan_for("a.yaml"), "scene is a str; make a scene of it with granflow.load_scene"),
+    "explain": (lambda _: gf.explain(scene()), "but must be a plan of granflow.plan_for"),
+    "estimate_memory": (lambda _: gf.estimate_memory(5, "f64"), "plan is 5, but must be a plan"),
+    "estimate_memory precision": (lambda s: gf.estimate_memory(s.plan, 5), "precision is 5; give one of f64, f32"),
+    "sweep": (lambda _: gf.sweep(5), "source is 5, but must be the path of a file"),
+    "calibrate": (lambda _: gf.calibrate(5), "source is 5, but must be the path of a file"),
+    "steady_flow": (lambda _: gf.steady_flow(5), "history is 5, but must be a list of"),
+    "steady_flow row": (lambda _: gf.steady_flow([(0.0, 1.0)]), "history contains (0.0, 1.0), but must have rows of"),
+    "analyze_snapshots": (lambda _: gf.analyze_snapshots(scene(), 5, "out"), "snapshots is 5, but must be a list"),
+    "register_contact_model": (lambda _: gf.register_contact_model(5), "model is 5, but must be a ContactModel"),
+    "start": (lambda _: gf.start("cpu", "f64", "two"), "threads is 'two'; give a whole number of at least 1"),
+    "ParticleData": (lambda _: gf.ParticleData(1, 2, 3, 4, 5, 6), "ParticleData: radius is 4, but must be an array"),
+    "ParticleData shape": (
+        lambda _: gf.ParticleData(VECTORS, VECTORS.T, VECTORS, np.ones(2), NUMBERS, NUMBERS),
+        "ParticleData: velocity has the shape (3, 2), but must have (2, 3)",
+    ),
+    "ParticleForce": (lambda _: gf.ParticleForce(drag, 5), "force drag: parameters is 5, but must be a mapping"),
+    "ParticleForce name": (lambda _: gf.ParticleForce(drag, name=5), "name is 5, but must be a text"),
+    "ParticleForce value": (lambda _: gf.ParticleForce(drag, {"rate": 1j}), "parameter rate is complex numbers, but"),
+    "on_interval": (lambda _: gf.on_interval(None, seen), "interval is None, but must be a number [s] or text"),
+    "on_interval flag": (lambda _: gf.on_interval(True, seen), "interval is True, but must be a number [s] or text"),
+    "on_interval wants": (lambda _: gf.on_interval(1, seen, wants=5), "wants is 5, but must be a list of parts of a"),
+    "on_interval text": (lambda _: gf.on_interval(1, seen, wants="totals"), "wants is 'totals', but must be a list"),
+    "Simulation out": (lambda _: gf.Simulation(scene(), out=5), "out is 5, but must be a path"),
+    "Simulation observers": (lambda _: gf.Simulation(scene(), observers=gf.on_interval(1, seen)), "must be a list of"),
+    "Simulation forces": (lambda _: gf.Simulation(scene(), forces=5), "forces is 5, but must be a list of granflow.P"),
+    "Simulation particles": (lambda _: gf.Simulation(scene(), particles=VECTORS), "must be arrays of granflow.Part"),
+    "Simulation resume": (lambda _: gf.Simulation(scene(), resume=5), "resume is 5, but must be a directory"),
+    "Simulation plan": (lambda _: gf.Simulation(scene(), plan=5), "plan is 5, but must be a plan"),
+    "step": (lambda s: s.step("3"), "count is '3', but must be a whole number of at least 0"),
+    "step flag": (lambda s: s.step(True), "count is True, but must be a whole number"),
+    "step nan": (lambda s: s.step(float("nan")), "count is nan, but must be a whole number"),
+    "run": (lambda s: s.run(until=[1]), "until is [1], but must be a number [s] or text with a unit"),
+    "run unit": (lambda s: s.run(duration="1 kg"), "duration is 1 kg, but kg is a unit of mass"),
+    "restart": (lambda s: s.restart(5), "particles is 5, but must be arrays of granflow.ParticleData"),
+    "request_stop": (lambda s: s.request_stop("now"), "request_stop takes an exception"),
+    "forces[]": (lambda s: s.forces["drag"], "the index of forces is 'drag', but must be a whole number"),
+    "forces[7]": (lambda s: s.forces[7], "forces[7] does not exist: forces has 1 entries"),
+    "forces.remove": (lambda s: s.forces.remove(5), "5 is not a force of this simulation"),
+    "observers[]": (lambda s: s.observers["a"], "the index of observers is 'a', but must be a whole number"),
+    "observers.remove": (lambda s: s.observers.remove(5), "int is not an observer of this simulation"),
+    "observers.append": (lambda s: s.observers.append(s.observers[0]), "is an observer of this simulation already"),
+    "particles.add": (lambda s: s.particles.add(None), "position is None, but must be real numbers"),
+    "particles.add complex": (
+        lambda s: s.particles.add([0, 0, 0.05], velocity=np.array([1j, 0, 0])), "velocity is complex numbers, but must"
+    ),
+    "particles.remove": (lambda s: s.particles.remove("a"), "particles.remove: arrays used as indices must be"),
+    "particles.rows": (lambda s: s.particles.rows(None), "particles.rows: ids is None, but must be real numbers"),
+    "velocity complex": (lambda s: setattr(s.particles, "velocity", 1j * VECTORS), "is complex numbers, but must be"),
+    "velocity[0] complex": (lambda s: s.particles.velocity.__setitem__(0, 1j), "is complex numbers, but must be real"),
+    "velocity None": (lambda s: s.particles.velocity.__setitem__((0, 2), None), "is None, but must be real numbers"),
+    "velocity text": (lambda s: setattr(s.particles, "velocity", "3 m/s"), "is '3 m/s', but must be real numbers"),
+    "velocity flags": (lambda s: setattr(s.particles, "velocity", VECTORS > 1), "but must be real numbers"),
+    "velocity masked": (
+        lambda s: setattr(s.particles, "velocity", np.ma.array(VECTORS, mask=VECTORS == 0)), "has masked entries"
+    ),
+    "velocity large": (lambda s: setattr(s.particles, "velocity", VECTORS + 1e200), "contains 1e+200; a value of this"),
+    "spin large": (lambda s: setattr(s.particles, "angular_velocity", VECTORS - 1e200), "contains -1e+200; a value of"),
+    "add large": (lambda s: s.particles.add([0, 0, 0.05], velocity=[0, 1e200, 0]), "contains 1e+200; a value of this"),
+    "parameter large": (lambda s: s.forces[0].parameters.update(rate=1e200), "contains 1e+200; a value of this magni"),
+    "copy": (copy.deepcopy, "A simulation can neither be pickled nor copied"),
+}  # fmt: skip
+"""Calls with an argument that cannot be meant, and the beginning of the sentence on it."""
+
+
+@pytest.mark.parametrize("call", WRONG)
+def test_a_wrong_argument_is_refused_with_one_sentence_and_changes_nothing(simulation, call):
+    function, message = WRONG[call]
+    before = simulation.particles.velocity[:]
+    with pytest.raises(gf.GranflowError) as error:
+        function(simulation)
+    assert message in str(error.value) and "\n" not in str(error.value)
+    np.testing.assert_array_equal(simulation.particles.velocity, before)
+    assert simulation.step_count == 3 and len(simulation.particles) == 2
+
+
+ASSIGNMENTS = {
+    "forces": "simulation.forces = []",
+    "observers": "simulation.observers = []",
+    "walls": "simulation.walls = {}",
+    "particles": "simulation.particles = None",
+    "item of forces": "simulation.forces[0] = None",
+    "item of observers": "simulation.observers[0] = None",
+    "item of walls": "simulation.walls['floor'] = None",
+    "del of a wall": "del simulation.walls['floor']",
+    "attribute of walls": "simulation.walls.floor = None",
+    "attribute of forces": "simulation.forces.drag = None",
+    "attribute of observers": "simulation.observers.interval = 1",
+    "velocity of a wall": "simulation.walls['floor'].velocity = [0, 0, 1]",
+    "name of a wall": "simulation.walls['floor'].name = 'lid'",
+    "pose of a wall": "simulation.walls['floor'].pose = None",
+    "speed of particles": "simulation.particles.speed = 1",
+    "mass of particles": "simulation.particles.mass = 1",
+    "shape of an array": "simulation.particles.velocity.shape = (6,)",
+    "row of an iteration": "for row in simulation.particles.velocity: row *= 0.5",
+    "interval of an observer": "simulation.observers[0].interval = 1e-5",
+    "function of an observer": "simulation.observers[0].function = print",
+    "start of an observer": "simulation.observers[0].start = 1",
+    "wants of an observer": "simulation.observers[0].wants = {'contact'}",
+    "function of a force": "simulation.forces[0].function = print",
+    "name of a force": "simulation.forces[0].name = 'other'",
+    "other parameters": "simulation.forces[0].parameters = {'viscosity': 1}",
+    "kind of a parameter": "simulation.forces[0].parameters = {'rate': [0, 0, 1]}",
+    "title of the scene": "scene.title = 'other'",
+    "key of a part": "scene.materials['glass'].density = 3",
+    "part of a mapping": "scene.materials['glass'] = None",
+    "time of a snapshot": "simulation.snapshot().time = 3",
+    "number of the plan": "simulation.plan.gravity = (0, 0, 0)",
+    "result": "simulation.run(duration=0).run = {}",
+}
+
+
+@pytest.mark.parametrize("statement", ASSIGNMENTS.values(), ids=ASSIGNMENTS)
+def test_an_assignment_without_effect_is_refused(simulation, statement):
+    with pytest.raises((AttributeError, gf.GranflowError, TypeError, ValueError)) as error:
+        exec(statement, {"simulation": simulation, "scene": scene()})
+    assert str(error.value) and "\n" not in str(error.value)
+    assert [force.name for force in simulation.forces] == ["drag"] and simulation.forces[0].parameters["rate"] == 0.5
+
+
+def test_assigned_parameters_of_a_force_take_effect(simulation):
+    """The rate of decay dv/dt = -g - k v in free flight: the exact velocity after each part, to second order."""
+    simulation.particles.position = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.05]]
+    for rate in (200.0, 900.0):
+        simulation.particles.velocity = [[1.0, 0.0, 0.0]] * 2
+        simulation.forces[0].parameters = {"rate": rate}
+        begin = simulation.time
+        simulation.run(duration=5e-4)
+        expected = np.exp(-rate * (simulation.time - begin))
+        assert simulation.particles.velocity[0, 0] == pytest.approx(expected, rel=(rate * simulation.time_step) ** 2)
+    simulation.forces[0].parameters = {"rate": 0.5}
+
+
+def test_an_observer_with_other_parts_receives_them(simulation):
+    found = []
+    observer = gf.on_interval(1e-5, lambda snapshot: found.append(snapshot.contacts), wants=["totals"])
+    simulation.observers.append(observer)
+    simulation.run(duration=3e-5)
+    observer.wants = ["contacts"]
+    simulation.run(duration=3e-5)
+    simulation.observers.remove(observer)
+    assert found[0] is None and found[-1] is not None
+
+
+def generator(snapshot):
+    """Would never run: a call only creates the generator."""
+    yield snapshot
+
+
+async def coroutine(snapshot):
+    """Would never run."""
+
+
+class Callable:
+    """An object with a generator in place of a function."""
+
+    def __call__(self, snapshot):
+        yield snapshot
+
+
+@pytest.mark.parametrize("function", [generator, coroutine, Callable()], ids=["generator", "coroutine", "object"])
+def test_a_function_that_would_not_be_executed_is_no_observer(function):
+    with pytest.raises(gf.GranflowError, match="is a generator or a coroutine, whose code a call does not execute"):
+        gf.on_interval(1e-3, function)
+
+
+def test_a_function_that_returns_a_generator_ends_the_run(taichi_f64):
+    observer = gf.on_interval(1e-3, lambda snapshot: generator(snapshot))
+    with gf.Simulation(scene(), observers=[observer]) as simulation:
+        with pytest.raises(gf.FunctionError, match=r"failed at 0 s: .*it returns a generator or a coroutine"):
+            simulation.run()
+
+
+def test_an_observer_belongs_to_one_simulation_at_a_time(taichi_f64):
+    times = []
+    observer = gf.on_interval(1e-3, lambda snapshot: times.append(snapshot.time))
+    for _ in range(2):
+        with gf.Simulation(scene(), observers=[observer]) as simulation:
+            simulation.run()
+            with pytest.raises(
+                gf.GranflowError, match="is an observer of another simulation, which has not been freed"
+            ):
+                gf.Simulation(scene(), observers=[observer])
+    assert len(times) == 10 and times[:5] == times[5:], "after its end, the observer begins again in the next one"
+
+
+@pytest.mark.parametrize("method", ["step", "run", "close", "free"])
+def test_an_observer_cannot_advance_or_end_its_simulation(taichi_f64, method):
+    with gf.Simulation(scene()) as simulation:
+        observer = gf.on_interval(1e-3, lambda snapshot: getattr(simulation, method)(), wants=["walls"])
+        simulation.observers.append(observer)
+        with pytest.raises(gf.FunctionError, match="cannot be called by an observer, while the simulation runs: raise"):
+            simulation.run()
+        simulation.observers.remove(observer)
+        simulation.run()
+        assert simulation.is_complete
+
+
+def in_thread(function, *arguments):
+    """The result of a function in another thread, or the message of its exception."""
+    found = []
+
+    def target():
+        try:
+            found.append(function(*arguments))
+        except Exception as error:
+            found.append(f"{type(error).__name__}: {error}")
+
+    thread = threading.Thread(target=target, name="worker")
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+def test_a_simulation_is_used_in_its_own_thread_only(simulation):
+    """Two threads would mix their steps. Times may be read, and a stop requested."""
+    before = simulation.step_count
+    for call in (
+        simulation.step, simulation.snapshot, simulation.run, simulation.close, simulation.free,
+        lambda: simulation.particles.velocity[:], lambda: simulation.walls["floor"].pose,
+        lambda: simulation.walls["floor"].remove(), lambda: simulation.particles.remove([0]),
+        lambda: simulation.forces.remove(simulation.forces[0]),
+    ):  # fmt: skip
+        message = in_thread(call)
+        assert message.startswith("GranflowError: This simulation belongs to the thread MainThread"), message
+    assert "in use in the thread MainThread" in in_thread(lambda: gf.Simulation(scene()))
+    assert in_thread(lambda: (simulation.time, simulation.step_count, simulation.stage))[1] == before
+    in_thread(simulation.request_stop, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        simulation.run(duration=1e-4)
+    before = simulation.step_count
+    simulation.step(2)
+    assert simulation.step_count == before + 2
+
+
+def run_in_threads():
+    """Positions of a run in the main thread, and in threads before and after it; one of them fails."""
+
+    def whole():
+        with gf.Simulation(scene()) as simulation:
+            simulation.run()
+            return simulation.particles.position[:].tolist()
+
+    def fails():
+        gf.Simulation(scene()).run("never")
+
+    message = in_thread(fails)
+    return [message, in_thread(whole), whole(), in_thread(whole), whole()]
+
+
+def test_threads_use_granflow_one_after_the_other_also_after_a_failure():
+    message, *positions = in_subprocess(run_in_threads)
+    assert message == "GranflowError: until is never, but a time is expected, such as 10 ms."
+    assert positions[0] == positions[1] == positions[2] == positions[3]
+
+
+def steps_in_children():
+    """Messages of a fork, and steps of a process with the method spawn, which gets a scene and returns a result."""
+    with gf.Simulation(scene()) as simulation:
+        simulation.step(3)
+        messages = []
+        for call in (simulation.step, lambda: gf.Simulation(scene())):
+            receive, send = multiprocessing.Pipe(duplex=False)
+            child = multiprocessing.get_context("fork").Process(target=lambda c=call, s=send: s.send(in_try(c)))
+            child.start()
+            child.join(30)
+            messages.append(receive.recv() if receive.poll(1) else "no answer")
+            child.kill()
+        simulation.step(3)
+    return messages
+
+
+def in_try(function):
+    """The message of the exception of a function."""
+    try:
+        function()
+    except gf.GranflowError as error:
+        return str(error)
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="the system has no fork")
+def test_a_fork_after_a_simulation_is_refused_and_names_spawn():
+    messages = in_subprocess(steps_in_children)
+    assert len(messages) == 2
+    for message in messages:
+        assert 'multiprocessing.get_context("spawn") instead of "fork"' in message
+
+
+def test_scenes_and_results_can_be_pickled(simulation):
+    """Other processes receive scenes and return results; laws with options, clumps and files as well."""
+    result = simulation.run(duration=0.0)
+    assert pickle.loads(pickle.dumps(result)) == result
+    for path in [*SCENES.glob("*.yaml"), *(SCENES / "verification").glob("*.yaml")]:
+        found = gf.load_scene(path)
+        again = pickle.loads(pickle.dumps(found))
+        assert again == found and (again.folder, again.path) == (found.folder, found.path), path
+        assert pickle.loads(pickle.dumps(found.contact)) == found.contact, path
