@@ -41,6 +41,7 @@ class Backend:
     real:           Taichi type of forces and velocities
     position_real:  Taichi type of positions
     worker_count:   CPU threads that take part in a loop
+    process:        number of the process of the start
     owner:          Python thread of the start: Taichi allocates fields in no other one
     largest_buffer: bytes that fields of a GPU may have together in one tree; None: unlimited
     """
@@ -52,6 +53,7 @@ class Backend:
     position_real: Any
     worker_count: int
     largest_buffer: int | None = None
+    process: int = field(default_factory=os.getpid)
     owner: threading.Thread = field(default_factory=threading.current_thread)
 
     @property
@@ -66,22 +68,11 @@ class Backend:
 
 
 _started: Backend | None = None
-_is_forked = False
-
-
-def _mark_fork() -> None:
-    """In a forked process, whose copy of Taichi has no threads: its first loop would wait for them forever."""
-    global _is_forked
-    _is_forked = _is_forked or _started is not None
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_mark_fork)
 
 
 def refuse_forked_process() -> None:
-    """Raise GranflowError in a process that was forked after the start of Taichi."""
-    if _is_forked:
+    """Raise GranflowError in a process that was forked after the start: its first loop would wait forever."""
+    if _started is not None and _started.process != os.getpid():
         raise GranflowError(
             "This process is a fork of one that has used granflow, without its threads: start processes with "
             'multiprocessing.get_context("spawn") instead of "fork".'
