@@ -19,7 +19,7 @@ from granflow.plan.run_time import refuse_run_time
 from granflow.runs.initial_particles import initial_state, warnings_before
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.python_changes import changed_plan, refuse_other_functions
-from granflow.runs.resume import Change, accepted_change
+from granflow.runs.resume import Change, accepted_change, engine_difference
 
 if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
@@ -73,6 +73,8 @@ def run_start(
         refuse_other_functions(resume, plan.external_forces, [*observers], allow_changes)
     initial, earlier = initial_state(scene, plan, given, resume)
     warnings = warnings_before(scene, plan, initial)
+    if resume is not None:
+        warnings += filter(None, [engine_difference(resume)])
     return RunStart(plan, original, initial, earlier, change, ParticleInsertion(scene, earlier), warnings)
 
 

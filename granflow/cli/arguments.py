@@ -2,9 +2,11 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from granflow.errors import GranflowError
 
 if TYPE_CHECKING:
     from granflow.load import Scene
@@ -33,6 +35,32 @@ def add_scene_verb(verbs: Any, verb: Callable[..., int], summary: str) -> argpar
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
     add_overrides(parser, "override a value of the scene, such as --set particles.beads.count=500")
     return parser
+
+
+def check_output_file(path: Path | None, types: Sequence[str], directory: Path) -> None:
+    """Refuse an output file that is of another type, a directory, or an input file of the run in a directory.
+
+    path:       value of --out, None if it is not given
+    types:      possible ends of its name, such as .png
+    directory:  of the run, which need not be one
+    Raises:     GranflowError
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise GranflowError(f"--out {path} is a directory; give a file, such as {path / f'picture{types[0]}'}.")
+    if path.suffix not in types:
+        raise GranflowError(f"--out {path} is not of a supported type; the name must end in {' or '.join(types)}.")
+    if not path.exists():
+        return
+    from granflow.runs.input_copies import input_files
+    from granflow.runs.read_run import SCENE, Run
+
+    run = Run(directory)
+    inputs = [] if not (directory / SCENE).exists() or run.scene_problem else [*input_files(run.scene)]
+    for key, name in inputs:
+        if name.exists() and path.samefile(name):
+            raise GranflowError(f"--out {path} is {key} of the run, which must not be replaced; give another file.")
 
 
 def add_overrides(parser: argparse.ArgumentParser, text: str) -> None:

@@ -4,7 +4,9 @@ Each verb imports its modules inside its function: `--help` starts at once and `
 """
 
 import argparse
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from granflow.cli.accuracy import add_accuracy
@@ -75,6 +77,9 @@ def _print_file_error(error: OSError) -> int:
 
 def _reason_of(error: OSError) -> str:
     """Return why a path cannot be used."""
+    path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else Path()
+    if path.is_symlink() and not path.exists():
+        return f"this is a link to {os.readlink(path)}, which does not exist; give another path, or remove the link"
     if isinstance(error, FileExistsError):
         return "this is a file, but a directory is needed; give another path"
     return error.strerror or str(error)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from granflow.errors import FileError, GranflowError
+from granflow.runs.interrupts import Terminated
 from granflow.visible_text import visible, visible_line
 
 if TYPE_CHECKING:
@@ -32,10 +33,6 @@ EXIT_INTERRUPTED = 130
 
 EXIT_TERMINATED = 143
 """128 + SIGTERM: the exit code after a termination request."""
-
-
-class Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM: ends a run in the same way as Ctrl-C."""
 
 
 def say(*parts: object, sep: str = " ", file: TextIO | None = None, flush: bool = False) -> None:

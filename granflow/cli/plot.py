@@ -5,8 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_verb
+from granflow.cli.arguments import add_verb, check_output_file
 from granflow.cli.messages import say, show_table
+
+TYPES = (".png", ".svg", ".pdf", ".html")
+"""Possible ends of the name of --out."""
 
 
 def plot(options: argparse.Namespace) -> int:
@@ -18,6 +21,7 @@ def plot(options: argparse.Namespace) -> int:
     from granflow.studies.plot.plot import default_path, write_plot
     from granflow.studies.plot.source import series_of
 
+    check_output_file(options.out, TYPES, options.sources[0])
     if not options.y:
         path, series = series_of(options.sources[0], options.x)
         columns = [("time", "s"), *((each.name, each.unit) for each in series.columns)]

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from granflow.cli.signals import ignore_stops
+from granflow.cli.signals import pass_stops_to
 from granflow.io.machine import allowed_cores
 
 if TYPE_CHECKING:
@@ -36,10 +36,30 @@ def on_ranks(
     if communicator.is_root:
         with controlling(communicator):
             return run(communicator)
-    ignore_stops()
+    stop = RankStop()
+    pass_stops_to(stop.request)
     logging.getLogger("granflow").setLevel(logging.CRITICAL)
-    serve(communicator, lambda: _rank_engine(options, communicator, *scene_and_plan()))
+    serve(communicator, lambda: stop.applied_to(_rank_engine(options, communicator, *scene_and_plan())))
     return 0
+
+
+class RankStop:
+    """A stop signal that a rank other than the root has received; in the next step all ranks agree on it."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._engine: RankEngine | None = None
+
+    def request(self, number: int) -> None:
+        """Request the stop of the run; `number`: of the signal."""
+        self._number = number
+        if self._engine is not None:
+            self._engine.stepper.interrupted = number
+
+    def applied_to(self, engine: "RankEngine") -> "RankEngine":
+        """The engine of this rank, with the request that came before it."""
+        self._engine, engine.stepper.interrupted = engine, self._number
+        return engine
 
 
 def threads_per_rank(communicator: "Communicator") -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_verb
+from granflow.cli.arguments import add_verb, check_output_file
 from granflow.cli.messages import exit_code_of, print_error, say
 from granflow.cli.signals import deferred_to_event
 from granflow.errors import GranflowError
@@ -50,6 +50,7 @@ def render(options: argparse.Namespace) -> int:
     from granflow.studies.render.frames import frames_of, selected_frames
     from granflow.studies.render.render import PictureStyle, write_pictures
 
+    check_output_file(options.out, (".mp4",) if options.film else (".png",), options.directory)
     frames = frames_of(options.directory)
     style = PictureStyle(**{field.name: getattr(options, field.name) for field in fields(PictureStyle)})
     if options.film:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.arguments import add_verb
+from granflow.cli.arguments import add_verb, check_output_file
 from granflow.cli.messages import say
 
 
@@ -15,6 +15,7 @@ def report(options: argparse.Namespace) -> int:
     """
     from granflow.studies.report.report import write_report
 
+    check_output_file(options.out, (".html",), options.directory)
     path = write_report(options.directory, options.out, not options.no_pictures, say)
     say(f"Open {path} in a browser.")
     return 0

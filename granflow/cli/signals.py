@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from granflow.cli.messages import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, say
+from granflow.cli.messages import EXIT_INTERRUPTED, EXIT_TERMINATED, say
+from granflow.runs.interrupts import stop_of
 
 GRACE = 0.7
 """Time from a signal to the exit without a checkpoint, or to the message that a stop is in progress [s]."""
@@ -60,10 +61,10 @@ class StopSignals:
         for each, handler in self._before.items():
             signal.signal(each, handler)
 
-    def ignore(self) -> None:
-        """Ignore the signals from now on."""
+    def pass_to(self, stop: Callable[[int], None]) -> None:
+        """From now on, a signal only calls `stop` with its number."""
         for each in self._before:
-            signal.signal(each, signal.SIG_IGN)
+            signal.signal(each, lambda number, _frame: stop(number))
         self._before = {}
 
     @contextmanager
@@ -88,7 +89,7 @@ class StopSignals:
         A second signal always raises.
         """
         first = self._stop is None
-        self._stop = Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
+        self._stop = stop_of(number)
         self._cancel_timer()
         deferred = first and self.request is not None
         self._timer = threading.Timer(GRACE, self._overdue, (number, deferred))
@@ -138,10 +139,10 @@ def stop_signals() -> Iterator[None]:
         compilation.around, _current = around, None
 
 
-def ignore_stops() -> None:
-    """Ignore stop signals on a rank that is not the root: mpirun sends them to the root, too, which stops all ranks."""
+def pass_stops_to(stop: Callable[[int], None]) -> None:
+    """On a rank that is not the root, call `stop` with the number of each stop signal: the root ends the run."""
     if _current is not None:
-        _current.ignore()
+        _current.pass_to(stop)
 
 
 @contextmanager

@@ -41,16 +41,17 @@ class Stepper:
     state:       device data
     on_deleted:  see the class of the rebuild, `NeighborListRebuild`
 
-    `interrupted` stops `advance` after the present launch. `clock_at_rebuild`: state of the clock at the last rebuild,
-    None before the first.
+    `interrupted` stops `advance` after the present launch; `stop_signal`: number of the signal that another MPI rank
+    has received, otherwise 0. `clock_at_rebuild`: state of the clock at the last rebuild, None before the first.
     """
 
     def __init__(self, state: State, on_deleted: Callable[..., None]) -> None:
         self.state = state
+        self.stop_signal = 0
         self.timing = Timing()
         self.steps_since_rebuild = 0
         self.clock_at_rebuild: dict[str, float] | None = None
-        self.interrupted = False
+        self.interrupted: int = False
         self._since_sample = 0
         self._rebuild = self._new_rebuild(on_deleted)
         self._workers = Workers(state)

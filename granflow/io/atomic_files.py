@@ -88,7 +88,11 @@ def sync_all(paths: Sequence[Path]) -> None:
             sync(path)
 
     with ThreadPoolExecutor(min(len(paths), SYNC_THREADS) or 1) as threads:
-        for _ in threads.map(sync_existing, paths):
+        try:
+            started = threads.map(sync_existing, paths)
+        except RuntimeError:  # no thread starts while the interpreter ends
+            started = map(sync_existing, paths)
+        for _ in started:
             pass
 
 

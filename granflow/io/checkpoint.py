@@ -4,7 +4,10 @@ A checkpoint is one file, with a JSON header: versions, scene, and all values th
 the particles of the root, and names a file of each other rank, see `rank_files`.
 """
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
@@ -30,6 +33,15 @@ FORMAT = 11
 PATTERN = "checkpoint_*.npz"
 """Names of checkpoint files; the number is the step, with leading zeros, so that names sort by time."""
 
+ENGINE_SOURCES = (
+    *("contact", "device_functions.py", "engine", "fields", "geometry", "kernel_language.py", "live", "parallel"),
+    *("particles", "plan"),
+)
+"""Parts of the package that determine the motion of a run."""
+
+DIGEST_LENGTH = 12
+"""Number of hexadecimal digits of a digest of sources."""
+
 Content = Literal["all", "root", "header"]
 """What is read: the arrays of all files, those of the file of the root, or none."""
 
@@ -38,7 +50,8 @@ Content = Literal["all", "root", "header"]
 class Checkpoint:
     """A checkpoint read from a file.
 
-    `path`: file; `version`: of granflow that wrote it; `scene`: YAML text; `time`: simulated time [s]; `saved`: state,
+    `path`: file; `version`: of granflow that wrote it; `engine`: digest of its sources, see `engine_digest`;
+    `scene`: YAML text; `time`: simulated time [s]; `saved`: state,
     as nested dictionaries of numbers, texts and numpy arrays; `rank_files`: those with particles that `saved` lacks.
     """
 
@@ -48,6 +61,26 @@ class Checkpoint:
     time: float
     saved: dict[str, Any]
     rank_files: tuple[RankFile, ...] = ()
+    engine: str = ""
+
+
+@cache
+def engine_digest() -> str:
+    """Start of the SHA-256 of the sources of the engine, at the first call: a run loads its modules before."""
+    return digest_of_sources(Path(__file__).parents[1], ENGINE_SOURCES)
+
+
+def digest_of_sources(package: Path, names: Sequence[str]) -> str:
+    """Start of the SHA-256 of the names and contents of Python files, given folders and files in a package."""
+    digest = hashlib.sha256()
+    found = (
+        path
+        for name in names
+        for path in ([package / name] if name.endswith(".py") else (package / name).rglob("*.py"))
+    )
+    for path in sorted(found):
+        digest.update(f"{path.relative_to(package).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:DIGEST_LENGTH]
 
 
 def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved: dict[str, Any]) -> Path:
@@ -59,7 +92,8 @@ def write_checkpoint(directory: Path, scene: str, time: float, step: int, saved:
     """
     path = Path(directory) / f"checkpoint_{step:012d}.npz"
     plain, arrays = split_arrays(saved)
-    header = {"format": FORMAT, "granflow": version_of("granflow"), "time": time, "scene": scene, "saved": plain}
+    header = {"format": FORMAT, "granflow": version_of("granflow"), "engine": engine_digest()}
+    header |= {"time": time, "scene": scene, "saved": plain}
     write_file(path, header, arrays)
     return path
 
@@ -163,11 +197,13 @@ def _from_archive(
             f"{path} is in format {header.get('format')!r:.40}, written by granflow {version!s:.40}; granflow "
             f"{version_of('granflow')} reads format {FORMAT}. Resume with the version that wrote it."
         )
-    saved = header.get("saved")
-    if not (isinstance(version, str) and isinstance(scene, str) and isinstance(saved, dict)):
+    saved, engine = header.get("saved"), header.get("engine")
+    if not (
+        isinstance(version, str) and isinstance(scene, str) and isinstance(engine, str) and isinstance(saved, dict)
+    ):
         raise FormatError("lacks the version, the scene or the state of the run")
     if not (isinstance(time, int | float) and isfinite(time)):
         raise FormatError("lacks the time of the run")
     for name, array in arrays.items():
         insert_array(saved, name, array)
-    return Checkpoint(path, version, scene, time, saved, rank_files)
+    return Checkpoint(path, version, scene, time, saved, rank_files, engine)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from granflow.errors import FileError
+from granflow.io.atomic_files import replacing
 from granflow.io.regular_files import LARGEST_FILE, read_regular_text
 
 COMMENT = "#"
@@ -148,7 +149,7 @@ def csv_line(cells: Iterable[Any]) -> str:
 
 
 def write_table(path: Path, names: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a CSV file with a header, UTF-8; the folder is created if necessary."""
+    """Write a CSV file with a header, UTF-8, atomically; the folder is created if necessary."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         file.writelines(csv_line(cells) for cells in (names, *rows))

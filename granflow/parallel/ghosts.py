@@ -139,20 +139,20 @@ class GhostExchange:
         self._communicator.exchange_buffers(self._sends, self._receives)
         records[self.first : self.first + self.count] = self._in
 
-    def agree(self, stop: bool, rebuild: bool = False) -> tuple[bool, bool]:
-        """Whether any rank requests a rebuild and a stop; an abort of one rank becomes that of all.
+    def agree(self, stop: int, rebuild: bool = False) -> tuple[bool, int]:
+        """Whether any rank requests a rebuild, and the largest request of a stop; an abort of one is that of all.
 
         stop, rebuild:  what this rank requests
         """
         control, flags = self._state.control, self._flags
-        flags[STOP], flags[REBUILD] = int(stop), int(rebuild)
+        flags[STOP], flags[REBUILD] = stop, int(rebuild)
         flags[ABORT], flags[PARTICLE] = int(control.abort[0]), -NO_PARTICLE
         if flags[ABORT]:
             flags[PARTICLE] = -int(control.abort_particle[0])
         agreed = self._communicator.largest_of(flags)
         if agreed[ABORT]:
             control.abort[0], control.abort_particle[0] = int(agreed[ABORT]), -int(agreed[PARTICLE])
-        return bool(agreed[REBUILD]), bool(agreed[STOP])
+        return bool(agreed[REBUILD]), int(agreed[STOP])
 
 
 def _records(state: State) -> np.ndarray:

@@ -96,13 +96,20 @@ class RankEngine(Engine):
     set_walls = _on_all_ranks("set_walls")
     set_stage = _on_all_ranks("set_stage")
     refresh = _on_all_ranks("refresh")
-    advance = _on_all_ranks("advance")
     snapshot = _on_all_ranks("snapshot")
     observe = _on_all_ranks("observe")
     copied = _on_all_ranks("copied")
     synchronized = _on_all_ranks("synchronized")
     saved_sums = _on_all_ranks("saved_sums")
     rest_state = _on_all_ranks("rest_state")
+
+    def advance(self, steps: int) -> None:
+        """As `Engine`, on all ranks; a stop signal of any rank stops all."""
+        assert isinstance(self.stepper, RankStepper)
+        with self.communicator.commanding("advance", (steps,)):
+            self.stepper.begin_advance()
+            super().advance(steps)
+            self.stepper.end_advance()
 
     def _new_stepper(self) -> Stepper:
         return RankStepper(self.state, self.communicator, self._account_deleted)

@@ -21,7 +21,7 @@ class RankStepper(Stepper):
     """
 
     def __init__(self, state: State, communicator: Communicator, on_deleted: Callable[[Arrays], None]) -> None:
-        self._requested = self._agreed = False
+        self._requested = self._agreed = 0
         self._communicator = communicator
         super().__init__(state, on_deleted)
 
@@ -39,13 +39,26 @@ class RankStepper(Stepper):
         return self._rank_rebuild.holds(particle)
 
     @property
-    def interrupted(self) -> bool:
-        """Whether all ranks stop; a request of one rank takes effect when they have agreed on it."""
+    def interrupted(self) -> int:
+        """Whether all ranks stop; a request of one rank takes effect when they have agreed on it.
+
+        The value is 1 for a request of the root, otherwise the number of a signal.
+        """
         return self._agreed
 
     @interrupted.setter
-    def interrupted(self, requested: bool) -> None:
-        self._requested = requested
+    def interrupted(self, requested: int) -> None:
+        self._requested = int(requested)
+
+    def begin_advance(self) -> None:
+        """Clear the stop of the last call of `advance`, after which the root has continued."""
+        self._agreed, self.stop_signal = 0, 0
+
+    def end_advance(self) -> None:
+        """Clear the request of this rank, if all ranks have stopped; the root clears its own."""
+        self.stop_signal = self._agreed if self._agreed > 1 else 0
+        if self._agreed and not self._communicator.is_root:
+            self._requested = 0
 
     def update_ghosts(self) -> None:
         """Update the ghosts from their owners."""

@@ -6,7 +6,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from granflow.io.checkpoint import remove_old_checkpoints, write_checkpoint
+from granflow.io.checkpoint import engine_digest, remove_old_checkpoints, write_checkpoint
 from granflow.io.rank_files import RankFileWriter
 from granflow.observers.schedule import Schedule
 from granflow.scene.schema.output import Checkpoints
@@ -27,6 +27,7 @@ class CheckpointWriter:
         self.directory, self._settings, self._scene_text = directory, settings, scene_text
         self._schedule = Schedule(settings.interval) if settings.interval else None
         self._written_at = clock.monotonic()
+        engine_digest()  # of the sources at the start of the run
         self.last_time: float | None = None
 
     def start(self, time: float) -> None:

@@ -7,6 +7,15 @@ from contextlib import contextmanager
 from types import FrameType
 
 
+class Terminated(KeyboardInterrupt):
+    """Raised on SIGTERM: ends a run in the same way as Ctrl-C."""
+
+
+def stop_of(number: int) -> KeyboardInterrupt:
+    """The exception with which a stop signal ends a run."""
+    return Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
+
+
 @contextmanager
 def stopping_on_interrupt(stop: Callable[[BaseException], None]) -> Iterator[None]:
     """In the block, Ctrl-C calls `stop` with a KeyboardInterrupt; a second one raises it at once.

@@ -26,6 +26,9 @@ class ObserverList(Sequence[Observer]):
 
     from_scene:  observers of the scene's output block
     added:       observers from Python
+
+    `raised`: exception such as SystemExit with which a function from Python has ended the program. At that point the
+    state of the run is complete.
     """
 
     def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
@@ -35,6 +38,7 @@ class ObserverList(Sequence[Observer]):
         self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
         self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
+        self.raised: BaseException | None = None
 
     def __getitem__(self, index: int) -> Observer:  # type: ignore[override]
         """The observer with an index. Raises GranflowError without such an observer."""
@@ -132,7 +136,7 @@ class ObserverList(Sequence[Observer]):
         return snapshot
 
     def _observe(self, observer: Observer, snapshot: Snapshot) -> None:
-        """Pass a snapshot to an observer; an exception of one from Python becomes a FunctionError."""
+        """Pass a snapshot to an observer; an Exception of one from Python becomes a FunctionError."""
         try:
             observer.observe(snapshot)
         except (StopRun, FunctionError):
@@ -143,6 +147,10 @@ class ObserverList(Sequence[Observer]):
             raise FunctionError(
                 f"The function {name_of(observer)} failed at {snapshot.time:.6g} s: {type(error).__name__}: {error}"
             ) from error
+        except BaseException as error:
+            if observer not in self._from_scene:
+                self.raised = error
+            raise
 
     def readings(self) -> Mapping[str, Readings]:
         """Return the numbers of the flow meters, wall forces and metrics."""

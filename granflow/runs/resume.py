@@ -11,7 +11,8 @@ import numpy as np
 
 from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
-from granflow.io.checkpoint import Checkpoint
+from granflow.io.checkpoint import Checkpoint, CheckpointError, engine_digest
+from granflow.io.log import version_of
 from granflow.load import Scene, scene_of
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import Plan
@@ -95,10 +96,17 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     of the plan differ, if a wall would jump by more than MAX_JUMP of the smallest radius, or if the present stage would
     have ended before. Raises CheckpointError if the state does not match its scene or the plan.
     """
-    saved = checkpoint.saved
+    saved, other_engine = checkpoint.saved, engine_difference(checkpoint)
+    if other_engine and not allow_changes:
+        raise GranflowError(
+            f"{other_engine} Resume with that version, or continue despite the difference with --allow-changes."
+        )
     # Both scenes are read from text, so that only differences of the text count.
     before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, scene.to_yaml()))
-    check_run(checkpoint, before, plan_fingerprint(plan))
+    try:
+        check_run(checkpoint, before, plan_fingerprint(plan))
+    except CheckpointError as error:
+        raise _without_damage(error, other_engine) from None
     stages_over = [stage.name for stage in before.schedule].index(saved["stage_progress"]["stage"])
     refused = forbidden(before, now, stages_over)
     if refused and not allow_changes:
@@ -110,10 +118,30 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
     _refuse_jumps(before, plan, saved, checkpoint.time)
     if before.run.precision != now.run.precision:
         _change_remainders(saved["engine"]["particles"], plan)
-    check_engine(checkpoint, plan, before)
+    try:
+        check_engine(checkpoint, plan, before)
+    except CheckpointError as error:
+        raise _without_damage(error, other_engine) from None
     change = Change(differences(before, now))
     _refuse_past_end(checkpoint, now, change)
     return change
+
+
+def engine_difference(checkpoint: Checkpoint) -> str:
+    """Sentences on an engine other than that of the run so far; empty for the same sources."""
+    if checkpoint.engine == engine_digest():
+        return ""
+    return (
+        f"{checkpoint.path} was written by granflow {checkpoint.version} with the engine {checkpoint.engine:.12}, and "
+        f"this is granflow {version_of('granflow')} with the engine {engine_digest()}: their results can differ."
+    )
+
+
+def _without_damage(error: CheckpointError, other_engine: str) -> CheckpointError:
+    """The error of a check, or the difference of the engines if that is its likely cause."""
+    if not other_engine:
+        return error
+    return CheckpointError(f"{other_engine} Its state does not fit this version: resume with that version.")
 
 
 def _change_remainders(particles: dict[str, Any], plan: Plan) -> None:

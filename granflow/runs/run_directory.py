@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import shlex
 import time as clock
 from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +23,9 @@ from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs, inputs_of
 from granflow.runs.previous import PREVIOUS, refuse_inputs_inside, replaced_run, restore_previous_run, results_in
 from granflow.runs.result import Result, write_result
+
+POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
+"""Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its begin."""
 
 
 class RunDirectory:
@@ -164,8 +168,14 @@ class RunDirectory:
 
     @property
     def warnings(self) -> list[str]:
-        """All warnings so far, those before the resumed checkpoint included, each once."""
-        return list(dict.fromkeys([*self._warnings, *self._recorded]))
+        """All warnings so far, those before the resumed checkpoint included, each once.
+
+        A resumed run reads its scene from another file, so that the same warning names another position.
+        """
+        found: dict[str, str] = {}
+        for warning in [*self._warnings, *self._recorded]:
+            found.setdefault(POSITION.sub("", warning), warning)
+        return list(found.values())
 
     def save(self, time: float, step: int, state: SavedBy) -> None:
         """Write a checkpoint of the state at `time` [s], with the warnings. Raises OSError if it cannot be written."""

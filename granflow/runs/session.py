@@ -1,5 +1,7 @@
 """The files of a run in parts: opened at the first step, closed at the end or by an exception."""
 
+import atexit
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -11,6 +13,7 @@ from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.time_loop import TimeLoop
 from granflow.runs.timings import log_plan
+from granflow.visible_text import visible_line
 
 
 class RunSession:
@@ -26,6 +29,7 @@ class RunSession:
         self._loop, self._state, self._files = loop, loop.state, files
         self._resumed, self._warnings = resumed, warnings
         self._open, self.is_open, self._has_ended = ExitStack(), False, False
+        self._is_running = False
         self._failure: type[BaseException] | None = None
 
     @contextmanager
@@ -37,10 +41,14 @@ class RunSession:
         with self._guarding():
             is_first = not self.is_open
             self._open_files()
-            with self._files.recording(), self._state.wall_clock.running():
-                if is_first and self._files.path is not None:
-                    log_plan(self._state.plan, self._loop.engine, self._resumed, self._warnings())
-                yield
+            self._is_running = True
+            try:
+                with self._files.recording(), self._state.wall_clock.running():
+                    if is_first and self._files.path is not None:
+                        log_plan(self._state.plan, self._loop.engine, self._resumed, self._warnings())
+                    yield
+            finally:
+                self._is_running = False
 
     @contextmanager
     def _guarding(self) -> Iterator[None]:
@@ -56,7 +64,9 @@ class RunSession:
             output_error = self._files.output_error(error, self._loop.engine.time, save, self._loop.save_kept)
             self._abandon()
             raise output_error from error
-        except BaseException:
+        except BaseException as error:
+            if error is self._state.observers.raised:  # sys.exit() in an observer
+                self._save_if_possible()
             self._abandon()
             raise
 
@@ -68,6 +78,8 @@ class RunSession:
             raise GranflowError(self._reason_of_end())
         self._open.enter_context(self._files.open(self._state.observers.checkpointed().values()))
         self.is_open = True
+        if self._files.path is not None:
+            _UNCLOSED[self] = os.getpid()
         self._open.callback(self._state.observers.finish)
         self._files.start_schedule(self._loop.engine.time)
 
@@ -93,14 +105,19 @@ class RunSession:
         """During the handling of an exception, close the files as they are."""
         if self.is_open:
             self.is_open, self._has_ended, self._failure = False, True, sys.exc_info()[0]
+            _UNCLOSED.pop(self, None)
             self._open.__exit__(*sys.exc_info())
 
     def abandon(self) -> None:
         """During the handling of an exception of a script, write a checkpoint if possible and close the files."""
+        self._save_if_possible()
+        self._abandon()
+
+    def _save_if_possible(self) -> None:
+        """Write a checkpoint if the run has begun and its files are open."""
         with suppress(Exception):
             if self.is_open and self._state.progress.stage_times:
                 self._loop.save()
-        self._abandon()
 
     def close(self, result: Callable[[], Result]) -> Result:
         """Pass the last snapshot to all observers, write checkpoint and result, and close the files.
@@ -115,5 +132,27 @@ class RunSession:
             written = self._files.write(result())
         with self._guarding():
             self.is_open, self._has_ended = False, True
+            _UNCLOSED.pop(self, None)
             self._open.close()
         return written
+
+    def close_at_exit(self) -> None:
+        """Close the files at the end of a program without `close`; an error is printed."""
+        if self._is_running:  # in another thread, which the end of the program stops
+            return
+        try:
+            self.close(self._loop.last_result)
+        except Exception as error:
+            sys.stderr.write(f"granflow: {visible_line(str(error))}\n")
+
+
+_UNCLOSED: dict[RunSession, int] = {}
+"""Sessions with open files, and the processes that opened them: at the end of a program they are closed."""
+
+
+@atexit.register
+def _close_all() -> None:
+    """Close the files of all sessions of this process; a forked process has those of its parent, too."""
+    for session, process in list(_UNCLOSED.items()):
+        if process == os.getpid():
+            session.close_at_exit()

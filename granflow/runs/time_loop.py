@@ -13,6 +13,7 @@ from granflow.errors import FunctionError, RunError, StopRun
 from granflow.observers.base import TOTALS
 from granflow.plan.scene_parts import PlannedStage
 from granflow.runs.exits import log_exits
+from granflow.runs.interrupts import stop_of
 from granflow.runs.rest import REST_CHECKS, ends_at_rest, warn_without_rest
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
@@ -188,7 +189,12 @@ class TimeLoop:
             self._abort_if_diagnosed()
 
     def _stop_if_requested(self) -> None:
-        """Raise the requested exception after a checkpoint; the request is then done."""
+        """Raise the requested exception after a checkpoint; the request is then done.
+
+        A stop signal of an MPI rank other than the root is a request, too.
+        """
+        if self.stop_requested is None and (number := self.engine.stepper.stop_signal):
+            self.stop_requested = stop_of(number)
         if self.stop_requested is not None:
             error, self.stop_requested, self.engine.stepper.interrupted = self.stop_requested, None, False
             self.save()

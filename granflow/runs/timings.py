@@ -13,6 +13,9 @@ from granflow.plan.explain import explain
 from granflow.plan.plan import Plan
 from granflow.runs.result import Result
 
+SHORTEST = 1e-9
+"""Shortest wall-clock time [s] by which rates are divided."""
+
 
 class WallClock:
     """Wall-clock time of a run [s], including the time before it was resumed.
@@ -51,7 +54,8 @@ class WallClock:
     def total(self, engine: Engine) -> float:
         """Return the total time so far [s]."""
         present = clock.perf_counter() - self._began if self._is_running else 0.0
-        return self._before_resume + self._elapsed + present + self._setup + engine.timing.compile
+        total = self._before_resume + self._elapsed + present + self._setup + engine.timing.compile
+        return max(total, SHORTEST)  # the clock of a machine can stand still
 
     def state_dict(self, engine: Engine) -> dict[str, Any]:
         """Return the state for a checkpoint: output time and total time so far [s]."""
@@ -76,7 +80,7 @@ def collect_result(
     readings:  numbers of flow meters, wall forces, metrics and insertion by kind, as in `Result`
     """
     timing = engine.timing
-    computing = max(timing.neighbor_list + timing.advance, 1e-9)
+    computing = max(timing.neighbor_list + timing.advance, SHORTEST)
     run = {
         "simulated_time": engine.time,
         "step_count": float(engine.step_count),

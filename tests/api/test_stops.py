@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -175,3 +177,60 @@ def test_a_run_that_is_closed_early_is_unfinished(taichi_f64, tmp_path):
     with gf.Simulation(scene(), out=tmp_path, resume=tmp_path) as simulation:
         simulation.run()
     assert gf.read_run(tmp_path).status == "complete"
+
+
+def test_exit_of_the_program_in_an_observer_writes_a_checkpoint(taichi_f64, tmp_path):
+    """The run continues from it with the bits of an undisturbed one; the observer gets the snapshot again."""
+    seen = []
+
+    def leave(snapshot):
+        seen.append(snapshot.time)
+        if snapshot.time >= 0.002 and len(seen) < 12:
+            sys.exit(5)
+
+    with gf.Simulation(scene()) as simulation:
+        simulation.run()
+        expected = simulation.snapshot().particles
+    simulation = gf.Simulation(scene(), out=tmp_path, observers=[gf.on_interval(2e-4, leave)])
+    with pytest.raises(SystemExit) as ended:
+        simulation.run()
+    assert ended.value.code == 5
+    simulation.free()
+    assert checkpoint_at(tmp_path).time == seen[-1] == pytest.approx(0.002, abs=1e-5)
+    with gf.Simulation(scene(), resume=tmp_path, out=tmp_path, observers=[gf.on_interval(2e-4, leave)]) as resumed:
+        seen += [0.0] * 12
+        resumed.run()
+        found = resumed.snapshot().particles
+    for name in ARRAYS:
+        np.testing.assert_array_equal(found[name], expected[name])
+
+
+UNCLOSED = """
+import sys
+sys.path.insert(0, {tests!r})
+from api.test_stops import scene
+import granflow as gf
+
+def main(out):
+    simulation = gf.Simulation(scene(), threads=2, out=out)
+    simulation.run(until=0.002)
+
+main({out!r} + "/first")
+main({out!r} + "/second")
+{end}
+"""
+
+
+@pytest.mark.parametrize("end", ["", "sys.exit(3)", "raise ValueError('unrelated')"])
+def test_end_of_a_program_without_close_finishes_the_files(tmp_path, end):
+    """Also those of simulations that the program no longer refers to."""
+    tests = str(Path(__file__).parents[1])
+    program = UNCLOSED.format(tests=tests, out=str(tmp_path), end=end)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    assert done.returncode == {"": 0, "sys.exit(3)": 3}.get(end, 1), done.stderr
+    assert "Traceback" not in done.stderr or "unrelated" in done.stderr
+    for name in ("first", "second"):
+        assert checkpoint_at(tmp_path / name).time == pytest.approx(0.002, abs=1e-5)
+        run = gf.read_run(tmp_path / name)
+        assert run.status == "unfinished"
+        assert run.frames.times[-1] == pytest.approx(0.002, abs=1e-5)

@@ -246,6 +246,12 @@ def endless_run(folder):
                 process.kill()
 
 
+def rank_number(process):
+    """Number of an MPI rank from the variables of Open MPI or MPICH."""
+    variables = process.environ()
+    return int(variables.get("OMPI_COMM_WORLD_RANK", variables.get("PMI_RANK", -1)))
+
+
 def wait_for_end(launcher, ranks):
     """Assert that all processes end within LONGEST_END."""
     launcher.wait(timeout=LONGEST_END)
@@ -261,14 +267,18 @@ def test_a_killed_rank_ends_all_within_seconds(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("receives", ["mpirun", "ranks"])
+@pytest.mark.parametrize("receives", ["mpirun", "ranks", "rank 1"])
 def test_a_signal_writes_a_checkpoint_and_ends_all_within_seconds(tmp_path, number, receives):
-    """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job."""
+    """Ctrl-C in a terminal and mpirun signal all ranks, as batch systems do before the time limit of a job.
+
+    A signal to one rank other than the root stops all.
+    """
     if receives == "mpirun" and rank_launcher.is_open_mpi():
         pytest.skip("this mpirun kills the ranks")
     with endless_run(tmp_path) as (launcher, ranks):
         time.sleep(2.0)
-        for process in ranks if receives == "ranks" else [launcher]:
+        second = [each for each in ranks if rank_number(each) == 1]
+        for process in {"mpirun": [launcher], "ranks": ranks, "rank 1": second}[receives]:
             os.kill(process.pid, number)
         wait_for_end(launcher, ranks)
     (checkpoint,) = (tmp_path / "out").glob("checkpoint_*.npz")

@@ -10,17 +10,21 @@ import numpy as np
 import pytest
 from scene_builders import build_scene, particle_group
 
+import granflow as gf
+from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.io import checkpoint as format_of
 from granflow.io.atomic_files import replacing
 from granflow.io.checkpoint import (
     CheckpointError,
+    engine_digest,
     newest_checkpoint,
     read_checkpoint,
     remove_old_checkpoints,
     write_checkpoint,
 )
 from granflow.io.lock import locked
+from granflow.runs import resume
 from granflow.runs.checkpoint_schedule import CheckpointWriter
 from granflow.scene.schema.output import Checkpoints
 
@@ -150,3 +154,45 @@ def test_header_is_json(tmp_path):
     with zipfile.ZipFile(written(tmp_path)) as archive:
         header = json.loads(archive.read("header.json"))
     assert header["format"] == format_of.FORMAT and header["scene"] == "title: A scene\n"
+
+
+def test_digest_of_sources_depends_on_names_and_contents_of_python_files(tmp_path):
+    (tmp_path / "engine" / "force").mkdir(parents=True)
+    (tmp_path / "engine" / "force" / "pair.py").write_text("a = 1\n")
+    (tmp_path / "other.py").write_text("")
+
+    def digest():
+        return format_of.digest_of_sources(tmp_path, ("engine", "other.py"))
+
+    found = [digest()]
+    (tmp_path / "engine" / "note.txt").write_text("no source")
+    assert digest() == found[0]
+    (tmp_path / "engine" / "force" / "pair.py").write_text("a = 2\n")
+    found.append(digest())
+    (tmp_path / "engine" / "force" / "pair.py").rename(tmp_path / "engine" / "pair.py")
+    found.append(digest())
+    assert len(set(found)) == 3
+
+
+def test_checkpoint_of_another_engine_is_named(taichi_f64, tmp_path, monkeypatch, capsys):
+    """A state that does not fit is not called damaged; one that fits continues only on request, with a warning."""
+    scene = build_scene({"ball": particle_group([[0, 0, 0]])}, run={"duration": 2e-4, "velocity_max": 1.0})
+    monkeypatch.setattr(format_of, "engine_digest", lambda: "0123456789ab")
+    with gf.Simulation(scene, threads=2, out=tmp_path) as simulation:
+        simulation.run(until=1e-4)
+    monkeypatch.undo()
+    named = f"with the engine 0123456789ab, and this is granflow {gf.__version__} with the engine {engine_digest()}"
+    assert main(["resume", str(tmp_path)]) == 2
+    assert named in (message := capsys.readouterr().err) and "--allow-changes" in message
+    with monkeypatch.context() as patched:
+        patched.setattr(resume, "check_engine", refuses)
+        assert main(["resume", str(tmp_path), "--allow-changes"]) == 2
+    assert named in (message := capsys.readouterr().err)
+    assert "does not fit this version" in message and "damaged" not in message and "emove it" not in message
+    assert main(["resume", str(tmp_path), "--allow-changes", "--threads", "2"]) == 0
+    assert named in capsys.readouterr().err
+    assert any(named in warning for warning in gf.read_run(tmp_path).result.warnings)
+
+
+def refuses(*_arguments):
+    raise CheckpointError("file: engine lacks velocity_remainder, so the file is damaged. Remove it.")

@@ -182,7 +182,7 @@ def archive(path, entries, compression=zipfile.ZIP_STORED):
     return path
 
 
-HEADER = {"format": FORMAT, "granflow": "0", "scene": "", "time": 0.0, "saved": {}}
+HEADER = {"format": FORMAT, "engine": "0", "granflow": "0", "scene": "", "time": 0.0, "saved": {}}
 
 
 def npy(shape, dtype="<f8", data=b""):
