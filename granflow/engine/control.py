@@ -36,6 +36,8 @@ class Control(Fields):
     losses:                     terms LOSSES of each chunk, see `exact_sums`
     impulses:                   time integrals of the wall forces of each chunk, see `exact_sums`
     collisions, collision_edges:  numbers of collisions by kind and energy class, and edges of the classes [J]
+    wall_work_ahead:            part of the work of moving walls of each chunk that belongs to the next step, see
+                                `contact_accounting`
     boundary_work:              work at periodic boundaries of each chunk, see `exact_sums`
     external_work:              work of external forces of each chunk, see `exact_sums`
     force_parameters:           parameters of all external forces

@@ -12,6 +12,7 @@ import numpy as np
 
 from granflow.engine.contact_histories import HistoryTable
 from granflow.engine.exact_sums import shares_rows
+from granflow.engine.force.contact_accounting import build_end_wall_work
 from granflow.engine.force.external_forces import write_force_inputs
 from granflow.engine.host_copy import saved_particle_table
 from granflow.engine.host_particles import HostParticles
@@ -85,6 +86,7 @@ class Stepper:
         """
         began, compiled = clock.perf_counter(), self.timing.compile
         self._prepare_workers()
+        self._end_wall_work(withdraws=False)
         self._rebuild.run(pose, self._workers.count)
         self.steps_since_rebuild, self.clock_at_rebuild = 0, self.state.clock.state_dict() | {"step_count": step}
         self.timing.neighbor_list += clock.perf_counter() - began - (self.timing.compile - compiled)
@@ -146,9 +148,15 @@ class Stepper:
         `velocities_lag`: velocities are half a step behind the positions. Contact displacements do not change.
         """
         pose = self.poses.index_at(step)
+        self._end_wall_work(withdraws=True)
         self.rebuild_neighbor_lists(step, pose)
         write_force_inputs(self.state, step, velocities_lag)
         self.forces(pose, history_step=0.0)
+
+    def _end_wall_work(self, withdraws: bool) -> None:
+        """Clear the work of moving walls that belongs to the next step, see `build_end_wall_work`."""
+        if self.state.control.wall_work_ahead is not None:
+            self.state.built(build_end_wall_work)(int(withdraws))
 
     def advance(self, steps: int, step: int) -> int:
         """Take `steps` steps after step number `step`; returns the number of completed steps.

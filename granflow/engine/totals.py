@@ -90,6 +90,9 @@ def energy_budget_totals(
     losses = dict(zip(LOSSES, exact_totals(words, unit).tolist(), strict=True))
     losses["plastic_dissipation"] += measured["plastic_dissipation"]
     losses["wall_work"] += controlled_work(state)
+    if state.control.wall_work_ahead is not None:
+        ahead = state.ranks.total(chunk_words(state, state.control.wall_work_ahead))
+        losses["wall_work"] -= float(exact_totals(ahead, unit)[0])
     sums = {"boundary_work": state.control.boundary_work, "external_work": state.control.external_work}
     other_works = {
         name: float(exact_totals(state.ranks.total(chunk_words(state, each)), unit)[0])

@@ -21,10 +21,10 @@ class Walls:
     present:           1 for walls that are present
     pivot:             [m], point of the rotation at rest
     center, rotation:  [m], 3 x 3: pose after each step; None if no wall moves
-    velocity:          [m/s] of the center at the middle of each step
-    angular_velocity:  [rad/s] at the middle of each step
-    surface_velocity:  [m/s] of the surface along itself at the middle of each step, before the projection on a contact
-                       plane; None without belts
+    velocity:          [m/s] of the center at the middle of each step, and of one more
+    angular_velocity:  [rad/s] likewise
+    surface_velocity:  [m/s] of the surface along itself likewise, before the projection on a contact plane; None
+                       without belts
     impulse_row:       row in `Control.impulses`, or NOT_MEASURED
     """
 
@@ -38,11 +38,11 @@ class Walls:
         moving = plan.features.moving_walls
         self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
         self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
-        self.velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
         self.impulse_row = block.scalar(ti.i32, count) if plan.features.wall_forces else None
-        self.angular_velocity = block.vector(backend.real, WALL_BATCH, count) if moving else None
+        self.angular_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if moving else None
         has_belt = plan.features.surface_velocity
-        self.surface_velocity = block.vector(backend.real, WALL_BATCH, count) if has_belt else None
+        self.surface_velocity = block.vector(backend.real, WALL_BATCH + 1, count) if has_belt else None
 
     def fill(self, plan: Plan) -> None:
         """Write the constant arrays."""

@@ -131,19 +131,22 @@ class WallGeometry:
         return found
 
     @ti.func
-    def prescribed_velocity(self, face, pose, point):
-        """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions."""
+    def prescribed_velocity(self, face, pose, step, point):
+        """Velocity [m/s] of the wall at the point by prescribed motions, without force-controlled motions.
+
+        step:  index of the step at whose middle it is: `pose` for the one that ends at the pose, pose + 1 for the next
+        """
         velocity = 0.0 * point
         if ti.static(self.features.moving_walls):
             w = self.wall_of(-1 - face)
             arm = point - self._center(w, pose)
-            velocity = self.walls.velocity[pose, w] + self.walls.angular_velocity[pose, w].cross(arm)
+            velocity = self.walls.velocity[step, w] + self.walls.angular_velocity[step, w].cross(arm)
         return velocity
 
     @ti.func
     def velocity(self, face, pose, point):
         """Velocity [m/s] of the wall at the point."""
-        velocity = self.prescribed_velocity(face, pose, point)
+        velocity = self.prescribed_velocity(face, pose, pose, point)
         if ti.static(self.features.force_controlled_walls):
             velocity += self.controlled_velocity(self.wall_of(-1 - face))
         return velocity
@@ -210,29 +213,31 @@ def triangles_of(state: State, partner: np.ndarray) -> np.ndarray:
 def upload_poses(state: State, step: int) -> None:
     """Upload the poses after WALL_BATCH steps from number `step`, with the velocities at the middle of each step.
 
+    Velocities have one more row, for the work in the step that follows the last pose.
+
     Times follow from step numbers, so that they are bit-identical for any start of a batch. Ends and middles of the
     steps are evaluated together, and a wall without motion once.
 
     Writes:  center, rotation, velocity, angular_velocity, surface_velocity of walls; active
     """
     walls, clock = state.walls, state.clock
-    times = np.asarray(clock.time_after(step + np.arange(WALL_BATCH)))
-    middles = times - 0.5 * clock.time_step
-    at_rest = pose((), times)
+    ends = np.asarray(clock.time_after(step + np.arange(WALL_BATCH + 1)))
+    times, middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step
+    at_rest = pose((), ends)
     both = [pose(motions, np.concatenate([times, middles])) if motions else at_rest for motions in state.wall_motions]
     # Surface velocities are in the precision of particle velocities, positions in that of particle positions.
     real = np.float64 if state.backend.precision == "f64" else np.float32
     position_real = np.float32 if state.backend.precision == "f32" else np.float64
 
     def upload(field: Any, arrays: list[np.ndarray], dtype: Any) -> None:
-        padded = np.zeros((WALL_BATCH, state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
+        padded = np.zeros((len(arrays[0]), state.plan.capacities.walls, *arrays[0].shape[1:]), dtype)
         padded[:, : len(arrays)] = np.stack(arrays, axis=1)
         field.from_numpy(padded)
 
-    upload_running(state, middles)
+    upload_running(state, middles[:WALL_BATCH])
     upload(walls.center, [p.offset[:WALL_BATCH] + p.pivot for p in both], position_real)
     upload(walls.rotation, [p.rotation[:WALL_BATCH] for p in both], position_real)
-    upload(walls.velocity, [p.velocity[-WALL_BATCH:] for p in both], real)
-    upload(walls.angular_velocity, [p.angular_velocity[-WALL_BATCH:] for p in both], real)
+    upload(walls.velocity, [p.velocity[-len(middles) :] for p in both], real)
+    upload(walls.angular_velocity, [p.angular_velocity[-len(middles) :] for p in both], real)
     if state.plan.features.surface_velocity:
-        upload(walls.surface_velocity, [p.surface_velocity[-WALL_BATCH:] for p in both], real)
+        upload(walls.surface_velocity, [p.surface_velocity[-len(middles) :] for p in both], real)

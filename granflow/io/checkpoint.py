@@ -27,7 +27,7 @@ from granflow.io.log import version_of
 from granflow.io.rank_files import RankFile, listed_files, refuse_missing, remove_unused, with_rank_files
 from granflow.io.regular_files import FormatError
 
-FORMAT = 11
+FORMAT = 12
 """Version of the content of a checkpoint. Files of other versions are refused."""
 
 PATTERN = "checkpoint_*.npz"

@@ -154,11 +154,13 @@ def sum_arrays(plan: Plan) -> list[DeviceArray]:
     classes = 2 * plan.capacities.energy_classes
     has_external_work = energy_budget and plan.features.external_forces
     has_image_work = energy_budget and plan.features.periodic != "none"
+    has_wall_work = energy_budget and plan.features.moving_walls
     return [
         DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
         for name, shape, terms, wanted in (
             ("losses", (chunks,), len(LOSSES), energy_budget),
             ("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
+            ("wall_work_ahead", (chunks,), 1, has_wall_work),
             ("boundary_work", (chunks,), 1, has_image_work),
             ("external_work", (chunks,), 1, has_external_work),
             ("collisions", (wall_rows, classes), 1, classes > 0),

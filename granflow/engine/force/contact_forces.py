@@ -12,7 +12,7 @@ from granflow.engine.exact_sums import (
     holds_sums,
 )
 from granflow.engine.force.contact import build_contact
-from granflow.engine.force.contact_accounting import build_carry_sums
+from granflow.engine.force.contact_accounting import build_carry_sums, build_clear_wall_work_ahead
 from granflow.engine.force.set_forces import build_set_forces
 from granflow.engine.force.simd_pair_force import build_batched_forces
 from granflow.engine.neighbor.mesh_contact_history import (
@@ -128,13 +128,14 @@ def build_forces(state: State) -> Any:
     batched, set_forces, carry_sums = batch is not None, build_set_forces(state), build_carry_sums(state)
     batched_forces = build_batched_forces(state) if batched else None
     particle_forces, sums_of = _build_particle_forces(state), _build_sums_of(state)
-    force_controlled = features.force_controlled_walls
+    force_controlled, clear_wall_work_ahead = features.force_controlled_walls, build_clear_wall_work_ahead(state)
     clear_wall_forces, _add = build_add_wall_force(state) if force_controlled else (None, None)
 
     @ti.func
     def forces(worker, chunk, count, pose, dt):
         size, acceleration = chunk_size(), ti.cast(gravity(), real)
         first, last = chunk * size, ti.min((chunk + 1) * size, count)
+        clear_wall_work_ahead(chunk)
         if ti.static(force_controlled):
             clear_wall_forces(chunk)
         for i in range(first, last):

@@ -118,7 +118,7 @@ def build_normal_force(laws: ContactLaws, is_prepared: bool) -> Any:
 def build_surface_contact(plan: Plan) -> Any:
     """Device function: struct `contact` of the surface models, see `granflow.contact.surface_law`.
 
-    Arguments: pair constants, struct `contact`, load [N], history, and structs and times .
+    Arguments: pair constants, struct `contact`, load [N], history, structs and times as for `build_pair_force`.
     The time step is 0 in a force evaluation without motion, so that displacements do not change.
     """
     law, laws = plan.laws.normal, plan.laws
