@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -237,17 +238,17 @@ def test_stop_signal_leaves_a_table_and_a_checkpoint(sweep, tmp_path, number, co
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_stop_signal_ends_the_check_of_many_points(tmp_path, number, code):
-    """The check of 20000 points takes about a minute; it states its progress, and stops at once."""
+    """The check of 18000 points takes a minute or more; it states its progress every 5 s, and stops at once."""
     write_sweep(tmp_path, SWEEP.replace("count: 4", "count: 6000"))
     command = [sys.executable, "-u", "-c", DRIVER, "sweep", "sweep.yaml", "--out", "out"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         assert line.endswith(" of 18000 points are checked ...\n"), line
-        sent = time.monotonic()
         process.send_signal(number)
         _, messages = process.communicate(timeout=60)
-    assert process.returncode == code and time.monotonic() - sent < 5.0
-    assert "of 18000 points are checked, and no run has begun" in messages
+    assert process.returncode == code
+    checked = int(re.search(r"stopped: (\d+) of 18000 points are checked, and no run has begun", messages)[1])
+    assert 0 < checked < 12_000, "the check did not stop at once"
 
 
 @pytest.mark.slow
