@@ -1,6 +1,7 @@
-"""tools/validation/wrong_models.py: the errors apply to the source."""
+"""tools/validation/wrong_models.py: the errors apply to the source, and those of the review are detected."""
 
 import importlib
+import json
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,10 @@ def test_every_contact_model_has_a_wrong_one(tool):
     for kind in ("normal", "tangential", "rolling", "twisting", "cohesion"):
         for name in models(kind):
             assert name == "none" or shared.get(name, name) in changed, name
+
+
+def test_stored_table_has_the_errors_of_the_review_and_all_are_detected(tool):
+    stored = json.loads((ROOT / "docs" / "validation_results.json").read_text(encoding="utf-8"))["wrong_models"]
+    assert [each["name"] for each in stored if not each["small"]] == [each.name for each in tool.REVIEW]
+    assert {each["name"] for each in stored} <= {each.name for each in tool.WRONG_MODELS}
+    assert [each["name"] for each in stored if not each["failing"]] == []
