@@ -40,7 +40,7 @@ BED, BED_RESTITUTIONS, STRAIN, RETREAT = 10, (0.3, 0.5, 0.8), 2e-3, 0.02
 PUSH = 0.2
 """Time [s] in which the plate moves."""
 
-COLUMN, COLUMN_RESTITUTIONS = 50, (0.3, 1.0)
+COLUMN, COLUMN_RESTITUTIONS = 50, (0.0, 0.05, 0.3, 1.0)
 """Spheres of a column, and restitutions."""
 DRAG, BED_DRAG = 300.0, 100.0
 """Drag [1/s] while the column is let down, and while the row is compressed."""
