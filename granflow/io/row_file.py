@@ -21,27 +21,49 @@ class RowFile:
         self.path = path
         self._file: FileIO | None = None
         self._size, self._unwritten = 0, b""
+        self._last = b""
 
     @property
     def is_empty(self) -> bool:
         """Whether there are no rows yet, not even a header."""
         return not self._size and not self._unwritten
 
-    def write(self, row: Sequence[Any]) -> None:
+    def write(self, row: Sequence[Any], replaces_last: bool = False) -> None:
         """Write one row and flush it; bytes that could not be written are kept for the next call.
 
-        Raises LostFiles if another program has moved, deleted, replaced or changed the file, OSError if it cannot be
-        written.
+        `replaces_last`: in place of the last row, if that is completely written. Raises LostFiles if another program
+        has moved, deleted, replaced or changed the file, OSError if it cannot be written.
         """
-        self._unwritten += csv_line(row).encode()
+        line = csv_line(row).encode()
+        self._open()
+        self.check()
+        if replaces_last and not self._unwritten:
+            self._cut(self._size - len(self._last))
+        self._unwritten += line
+        self._last = line
+        self._write_rest()
+
+    def _open(self) -> FileIO:
         if self._file is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             separate_from_links(self.path)
             self._file = FileIO(self.path, "a" if self._size else "w")
-        self.check()
+        return self._file
+
+    def _cut(self, size: int) -> None:
+        """Remove the bytes after `size` from the open file."""
+        file = self._open()
+        with named_errors(self.path):
+            file.truncate(size)
+            file.seek(size)
+        self._size = size
+
+    def _write_rest(self) -> None:
+        """Write the bytes that are not written yet."""
+        file = self._open()
         with named_errors(self.path):
             while self._unwritten:
-                written = self._file.write(self._unwritten)
+                written = file.write(self._unwritten)
                 self._size, self._unwritten = self._size + written, self._unwritten[written:]
 
     def check(self) -> None:
@@ -72,12 +94,17 @@ class RowFile:
             os.fsync(self._file.fileno())
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the file size [bytes] and the rest of an incomplete row."""
-        return {"size": self._size, "unwritten": self._unwritten.decode()}
+        """Return the file size [bytes] without the last row, which a later one may replace, and this row.
+
+        If bytes could not be written: the size, and these bytes.
+        """
+        last = b"" if self._unwritten else self._last
+        return {"size": self._size - len(last), "unwritten": (last or self._unwritten).decode()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`; the file is not modified yet."""
         self._size, self._unwritten = saved["size"], saved["unwritten"].encode()
+        self._last = self._unwritten
 
     @property
     def is_intact(self) -> bool:
@@ -85,12 +112,19 @@ class RowFile:
         return self._present_size() >= self._size
 
     def truncate(self) -> None:
-        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones."""
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones.
+
+        Raises OSError if the last row of the restored state cannot be written.
+        """
         if self._size:
             self._size = min(self._size, self._present_size())
             if self._size:
                 separate_from_links(self.path)
                 os.truncate(self.path, self._size)
+                self._write_rest()
+                self.close()
+            else:
+                self._unwritten = self._last = b""  # the next row follows a new header
 
     def _present_size(self) -> int:
         """Size of the file [bytes]."""

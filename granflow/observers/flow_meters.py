@@ -47,6 +47,13 @@ class FlowCount:
         forward = residence_time[direction > 0]
         self.passed = self.passed + [len(forward), forward.sum(), (forward**2).sum()]
 
+    def begin_sample(self, replaces_last: bool) -> None:
+        """Begin a sample after the last one, or in its place: residence times are those since the sample before."""
+        if replaces_last:
+            self.history.pop()
+        else:
+            self.passed_before = self.passed
+
     def end_sample(self, time: float, stage: str) -> None:
         """Add a sample of the mass, at `time` [s], to the history."""
         self.history.append((time, stage, self.mass))
@@ -128,17 +135,17 @@ class FlowMeter:
         """Return the total count under "", and the counts of the parts by name."""
         return {"": self.total, **self.parts}
 
-    def update(self, snapshot: Snapshot) -> None:
+    def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
         """Count the particles that passed since the last sample.
 
         Reads id, mass, position, insertion_time and the array `group_by`. The first snapshot is the reference and
-        counts nothing.
+        counts nothing. `replaces_last`: the rates are those since the sample before the last one.
         """
         now = self._sample(snapshot)
+        time = 0.5 * (self.total.history[-1][0] + snapshot.time) if self.total.history else snapshot.time
         for flow_count in self.flow_counts().values():
-            flow_count.passed_before = flow_count.passed
+            flow_count.begin_sample(replaces_last)
         if self._last is not None:
-            time = 0.5 * (self.total.history[-1][0] + snapshot.time)
             self._count_crossed(self._last, now, time)
             self._count_deleted(self._last, now, time)
         self._last = now

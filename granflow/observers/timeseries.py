@@ -31,6 +31,9 @@ NO_ROWS = {"size": 0, "unwritten": ""}
 """State of the rows without a file."""
 
 
+SHORTEST_ROW = 0.5
+"""Smallest time between two rows, as a fraction of their interval."""
+
 Meter = FlowMeter | WallForceMeter | MetricMeter
 """Measures each snapshot of the time series."""
 
@@ -51,6 +54,9 @@ class TimeSeries(ScheduledObserver):
     for each flow meter the mass and number passed and the mass flow rate since the previous row, then for each measured
     wall the mean force since the previous row, then the metrics. The header contains the units. Without a directory no
     file is written, but meters, wall forces and metrics are updated.
+
+    Each row covers at least SHORTEST_ROW of the interval: a snapshot that follows the last row earlier, at the end of a
+    run, replaces it, and its means are those since the row before. They would otherwise be those of one or a few steps.
 
     `interval`, `start` [s]: of the rows, in simulated time. Raises ValueError for an interval that is not positive.
     """
@@ -75,6 +81,8 @@ class TimeSeries(ScheduledObserver):
         self._rows = None if self.path is None else RowFile(self.path)
         self._last: tuple[float, float, Mapping[str, float]] | None = None
         self._names: list[str] = []
+        self._time_before: float | None = None
+        self._stage = ""
 
     def observe(self, snapshot: Snapshot) -> None:
         """Write one row; a second snapshot of the same time has no effect.
@@ -84,10 +92,15 @@ class TimeSeries(ScheduledObserver):
         before = self._schedule.last_time
         if not self._schedule.mark_done(snapshot.time):
             return
+        replaces_last = self._replaces_last(before, snapshot)
+        if not replaces_last:
+            self._time_before = before
+        self._stage = snapshot.stage
         for meters in self.meters.values():
             for meter in meters.values():
-                meter.update(snapshot)
-        self._last = snapshot.time, snapshot.time if before is None else before, snapshot.totals
+                meter.update(snapshot, replaces_last)
+        time_before = snapshot.time if self._time_before is None else self._time_before
+        self._last = snapshot.time, time_before, snapshot.totals
         if self._rows is None:
             return
         readings = self._readings()
@@ -96,7 +109,13 @@ class TimeSeries(ScheduledObserver):
             self._names = known + [name for name in snapshot.totals if name not in TOTAL_QUANTITIES]
             self._rows.write(["time [s]", "stage", *map(_column_label, self._names), *readings])
         totals = [snapshot.totals.get(name, "") for name in self._names]
-        self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()])
+        self._rows.write([snapshot.time, snapshot.stage, *totals, *readings.values()], replaces_last)
+
+    def _replaces_last(self, last: float | None, snapshot: Snapshot) -> bool:
+        """Whether the row of a snapshot replaces the last one, at `last` [s]: it is short, and of the same stage."""
+        if last is None or self._time_before is None or snapshot.stage != self._stage:
+            return False
+        return snapshot.time - last < SHORTEST_ROW * self._schedule.interval
 
     @property
     def last_row(self) -> Row | None:
@@ -148,8 +167,9 @@ class TimeSeries(ScheduledObserver):
             self._rows.sync()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the file size [bytes], the columns and the state of the meters."""
-        rows = {"columns": self._names} | (NO_ROWS if self._rows is None else self._rows.state_dict())
+        """Return the file size [bytes], the columns, the last rows and the state of the meters."""
+        rows: dict[str, Any] = {"columns": self._names, "time_before": self._time_before, "stage": self._stage}
+        rows |= NO_ROWS if self._rows is None else self._rows.state_dict()
         meters = {
             kind: {name: each.state_dict() for name, each in named.items()} for kind, named in self.meters.items()
         }
@@ -158,7 +178,7 @@ class TimeSeries(ScheduledObserver):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state; later rows have the same columns. The meters must have the same names as those saved."""
         super().load_state_dict(saved)
-        self._names = saved["columns"]
+        self._names, self._time_before, self._stage = saved["columns"], saved["time_before"], saved["stage"]
         if self._rows is not None:
             self._rows.load_state_dict(saved)
         for kind, meters in self.meters.items():

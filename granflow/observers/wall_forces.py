@@ -25,9 +25,19 @@ class WallForceMeter:
         self._stage, self._stage_time, self._stage_impulse = "", 0.0, NO_IMPULSE
         self._mean = NO_IMPULSE
         self._max_force, self._max_normal_force = 0.0, 0.0
+        self._time_before, self._impulse_before = 0.0, NO_IMPULSE
+        self._max_force_before, self._max_normal_force_before = 0.0, 0.0
 
-    def update(self, snapshot: Snapshot) -> None:
-        """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot."""
+    def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
+        """Compute the means since the last sample, or since the start; reads `impulses` of the snapshot.
+
+        `replaces_last`: since the sample before the last one, as if that had not been taken; it is of the same stage.
+        """
+        if replaces_last:
+            self._time, self._impulse = self._time_before, self._impulse_before
+            self._max_force, self._max_normal_force = self._max_force_before, self._max_normal_force_before
+        self._time_before, self._impulse_before = self._time, self._impulse
+        self._max_force_before, self._max_normal_force_before = self._max_force, self._max_normal_force
         time, impulse = snapshot.time, snapshot.impulses[self.wall]
         if snapshot.stage != self._stage:
             self._stage, self._stage_time, self._stage_impulse = snapshot.stage, self._time, self._impulse

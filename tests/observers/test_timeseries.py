@@ -1,13 +1,18 @@
 """The time series contains the numbers of the snapshots."""
 
 import csv
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from observers.snapshots import snapshot_of
 
 from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.flow_meters import FlowMeter
+from granflow.observers.metrics.meter import MetricMeter
 from granflow.observers.timeseries import TimeSeries
+from granflow.observers.wall_forces import WallForceMeter
 
 
 def rows_of(path):
@@ -69,3 +74,81 @@ def test_header_and_separator_of_tables(tmp_path):
     assert (table.names, table.separator, table.heading_line) == (("a", "b [mm]"), ";", 3)
     assert table.numbers(0).tolist() == [1.5] and np.isnan(table.numbers(1)).all()
     assert table_in("# only\n# comments\n", tmp_path) is None
+
+
+def measured_series(folder):
+    """A series with a flow meter, a wall of 2 m2, and a metric whose value is the time."""
+    metric = MetricMeter(lambda snapshot: {"coordination_number": snapshot.time}, frozenset({"totals"}))
+    return TimeSeries(
+        folder, 0.1, {"out": FlowMeter((0, 0, 0), (0, 0, -1))}, wall_forces={"lid": WallForceMeter("lid", 2.0)},
+        metrics={"bed": metric},
+    )  # fmt: skip
+
+
+def pushed(time, stage="run"):
+    """One particle of 0.2 kg passes every 0.1 s, from 0.05 s; a force of 8 N, and an impact of 1 N s at 0.3000001 s."""
+    number = np.arange(30)
+    position = np.stack([0 * number, 0 * number, 0.05 + 0.1 * number - time], axis=1)
+    particles = {"id": number, "position": position, "mass": np.full(30, 0.2), "insertion_time": np.zeros(30)}
+    impulse = 8.0 * time + (time > 0.3)
+    snapshot = snapshot_of(time=time, stage=stage, particles=particles, totals={})
+    return replace(snapshot, impulses={"lid": np.array([0, 0, impulse, 0, 0, 0, impulse])})
+
+
+TIMES = [0.0, 0.1, 0.2, 0.3]
+
+
+def test_a_short_last_row_replaces_the_row_before_it(tmp_path):
+    """A row of one step had a mean force of (8 N dt + 1 N s) / dt; right is that since 0.2 s.
+
+    The mean of the metric is that of the rows 0, 0.1, 0.2 and of the last one.
+    """
+    series, end = measured_series(tmp_path), 0.300001
+    for time in (*TIMES, end):
+        series.observe(pushed(time))
+    results = series.results_by_kind()
+    window = end - 0.2
+    force = (8.0 * window + 1.0) / window
+    assert results["wall_forces"]["lid"]["wall_force_z_last"] == pytest.approx(force, rel=1e-9)
+    assert results["wall_forces"]["lid"]["wall_pressure_last"] == pytest.approx(0.5 * force, rel=1e-9)
+    assert results["wall_forces"]["lid"]["wall_force_largest"] == pytest.approx(force, rel=1e-9)
+    assert results["wall_forces"]["lid"]["wall_force_z"] == pytest.approx((8.0 * end + 1.0) / end, rel=1e-9)
+    assert results["metrics"]["bed"]["coordination_number_mean"] == pytest.approx((0.1 + 0.2 + end) / 4, rel=1e-12)
+    assert results["flow_meters"]["out"]["flow_count"] == 3
+    header, *rows = rows_of(series.path)
+    assert [float(row[0]) for row in rows] == [0.0, 0.1, 0.2, end]
+    last = dict(zip(header, rows[-1], strict=True))
+    assert float(last["mass_flow.out [kg/s]"]) == pytest.approx(0.2 / window, rel=1e-9)
+    assert float(last["wall_force_z.lid [N]"]) == pytest.approx(force, rel=1e-9)
+    assert series.last_row.time_before == 0.2
+
+
+@pytest.mark.parametrize(("last", "stage"), [(0.351, "run"), (0.300001, "next")])
+def test_a_last_row_of_half_an_interval_or_of_another_stage_is_added(tmp_path, last, stage):
+    series = measured_series(tmp_path)
+    for time in TIMES:
+        series.observe(pushed(time))
+    series.observe(pushed(last, stage))
+    assert [float(row[0]) for row in rows_of(series.path)[1:]] == [*TIMES, last]
+
+
+def test_a_resumed_series_restores_the_row_that_the_last_one_has_replaced(tmp_path):
+    """A checkpoint is written before the last row; the row at 0.3 s, which is not in the file any more, is in it."""
+    whole, stopped = measured_series(tmp_path / "whole"), measured_series(tmp_path / "stopped")
+    for time in TIMES:
+        whole.observe(pushed(time))
+        stopped.observe(pushed(time))
+    saved = deepcopy(stopped.state_dict())
+    stopped.observe(pushed(0.300001))
+    stopped.finish()
+    resumed = measured_series(tmp_path / "stopped")
+    resumed.load_state_dict(saved)
+    assert resumed.rows_intact
+    resumed.truncate()
+    assert resumed.path.read_bytes() == whole.path.read_bytes()
+    for time in (0.4, 0.41):
+        whole.observe(pushed(time))
+        resumed.observe(pushed(time))
+    assert resumed.path.read_bytes() == whole.path.read_bytes()
+    assert resumed.results_by_kind() == whole.results_by_kind()
+    assert [float(row[0]) for row in rows_of(whole.path)[1:]] == [*TIMES, 0.41]

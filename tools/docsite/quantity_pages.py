@@ -13,8 +13,10 @@ from granflow.scene.schema.units import DIMENSIONS
 CSV = """\
 # Columns of timeseries.csv
 
-A row is written at every `output.timeseries_interval`. The header contains the name and the SI unit of each column,
-such as `kinetic_energy [J]`; a dimensionless column has no brackets. The first columns are `time [s]` and `stage`. A
+A row is written at every `output.timeseries_interval`, and at the end of the run; if the end follows a row by less than
+half of the interval, it replaces this row, so that means do not cover a few steps only. The header contains the name
+and the SI unit of each column, such as `kinetic_energy [J]`; a dimensionless column has no brackets. The first columns
+are `time [s]` and `stage`. A
 column exists only if the scene needs it: the energies of the [energy budget](../explanation/energy.md) with
 `output.energy_budget: true`, columns of flow meters, walls and metrics for each of them, with its name after a dot.
 The names are also those of `expect:`.

@@ -28,11 +28,19 @@ class MetricMeter:
         self._last: dict[str, float] = {}
         self._sums: dict[str, float] = {}
         self._counts: dict[str, int] = {}
+        self._sums_before: dict[str, float] = {}
+        self._counts_before: dict[str, int] = {}
 
-    def update(self, snapshot: Snapshot) -> None:
-        """Evaluate the metric with a snapshot, which must have the parts `wants`."""
+    def update(self, snapshot: Snapshot, replaces_last: bool = False) -> None:
+        """Evaluate the metric with a snapshot, which must have the parts `wants`.
+
+        `replaces_last`: the last values, of the same stage, do not enter the mean any more.
+        """
+        if replaces_last:
+            self._sums, self._counts = self._sums_before, self._counts_before
         if snapshot.stage != self._stage:
             self._stage, self._sums, self._counts = snapshot.stage, {}, {}
+        self._sums_before, self._counts_before = dict(self._sums), dict(self._counts)
         self._last = {name: float(value) for name, value in self._measure(snapshot).items()}
         self.remark = self._get_remark()
         for name, number in self._last.items():
@@ -52,11 +60,13 @@ class MetricMeter:
         return self._last | means
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the stage, the last values and their remark, and the sums and counts of the stage."""
+        """Return the stage, the last values and their remark, and sums and counts of the stage, also without these."""
         sums = {"sums": self._sums, "counts": self._counts}
+        sums |= {"sums_before": self._sums_before, "counts_before": self._counts_before}
         return {"stage": self._stage, "last": self._last, "remark": self.remark, **sums}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the state of `state_dict`."""
         self._stage, self._last, self.remark = saved["stage"], saved["last"], saved["remark"]
         self._sums, self._counts = saved["sums"], saved["counts"]
+        self._sums_before, self._counts_before = saved["sums_before"], saved["counts_before"]
