@@ -272,10 +272,16 @@ _wall_name = _matching(
     "a name begins with a lowercase letter and contains only lowercase letters, digits and _",
 )
 _pair_name = _matching(f"{_NAME}-{_NAME}", "a pair is two material names joined by a hyphen, such as glass-steel")
-Name = Annotated[str, _name[0], _name[1]]
+MOST_LETTERS = 64
+"""Largest length of a name: names are parts of the names of files, which most file systems limit to 255 bytes."""
+
+_short = AfterValidator(
+    require(lambda name: len(name) <= MOST_LETTERS, f"a name has at most {MOST_LETTERS} characters")
+)
+Name = Annotated[str, _short, _name[0], _name[1]]
 """Name of a material, wall, group, stage or meter: lowercase letters, digits and _, beginning with a letter."""
 
-WallName = Annotated[str, _wall_name[0], _wall_name[1]]
+WallName = Annotated[str, _short, _wall_name[0], _wall_name[1]]
 """Name of a wall, or of a face of a box, such as box.left."""
 
 PairName = Annotated[str, _pair_name[0], _pair_name[1]]
