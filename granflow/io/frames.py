@@ -36,6 +36,7 @@ class FrameSeries:
         compression: Compression = "zlib",
     ) -> None:
         self.directory = Path(directory)
+        self.directory.mkdir(parents=True, exist_ok=True)  # here, so that no frame creates a deleted directory again
         self.stem, self.compression = stem, compression
         self._writer = writer or BackgroundWriter()
         self.frames: list[tuple[float, str]] = []
@@ -46,7 +47,7 @@ class FrameSeries:
     def write(self, mesh: VtuMesh, time: float) -> None:
         """Write the mesh, whose arrays must not change, as the next frame, at `time` [s].
 
-        Creates the directory if necessary. If the disk is full, this or a later call raises OSError; the PVD file then
+        If the disk is full, this or a later call raises OSError; the PVD file then
         lists the earlier frames.
         """
         self._writer.submit(partial(self._write, mesh, time))
@@ -72,9 +73,8 @@ class FrameSeries:
         self._end(path, time)
 
     def _begin(self) -> str:
-        """Prepare the directory for the first frame; return the name of the next frame, without suffix."""
+        """Remove the frames of an earlier run before the first frame; return the name of the next, without suffix."""
         if not self.frame_count:
-            self.directory.mkdir(parents=True, exist_ok=True)
             self.truncate()
         return f"{self.stem}_{self.frame_count:04d}"
 

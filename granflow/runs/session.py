@@ -106,7 +106,8 @@ class RunSession:
         if self.is_open:
             self.is_open, self._has_ended, self._failure = False, True, sys.exc_info()[0]
             _UNCLOSED.pop(self, None)
-            self._open.__exit__(*sys.exc_info())
+            with suppress(OSError):  # of the writer: the exception that is handled is the first one
+                self._open.__exit__(*sys.exc_info())
 
     def abandon(self) -> None:
         """During the handling of an exception of a script, write a checkpoint if possible and close the files."""
