@@ -27,8 +27,6 @@ class ObserverList(Sequence[Observer]):
     from_scene:  observers of the scene's output block
     added:       observers from Python
 
-    `raised`: exception such as SystemExit with which a function from Python has ended the program. At that point the
-    state of the run is complete.
     """
 
     def __init__(self, from_scene: Sequence[Observer], added: Sequence[Observer]) -> None:
@@ -38,7 +36,7 @@ class ObserverList(Sequence[Observer]):
         self._from_scene, self._observers = tuple(from_scene), (*from_scene, *added)
         self._series = [observer for observer in self._observers if isinstance(observer, TimeSeries)][:1]
         self._last_time: float | None = None
-        self.raised: BaseException | None = None
+        self._raised: BaseException | None = None
 
     def __getitem__(self, index: int) -> Observer:  # type: ignore[override]
         """The observer with an index. Raises GranflowError without such an observer."""
@@ -97,6 +95,11 @@ class ObserverList(Sequence[Observer]):
         if isinstance(observer, ScheduledObserver):
             observer.end()
 
+    @property
+    def raised(self) -> BaseException | None:
+        """Exception such as SystemExit with which a function from Python ended the program, at a complete state."""
+        return self._raised
+
     def next_time(self) -> float:
         """Return the simulated time [s] of the next due observer; infinite without."""
         return min((observer.next_time() for observer in self._observers), default=inf)
@@ -149,7 +152,7 @@ class ObserverList(Sequence[Observer]):
             ) from error
         except BaseException as error:
             if observer not in self._from_scene:
-                self.raised = error
+                self._raised = error
             raise
 
     def readings(self) -> Mapping[str, Readings]:

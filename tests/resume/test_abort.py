@@ -102,3 +102,13 @@ def test_abort_before_the_first_step_offers_no_command(taichi_f64, tmp_path):
     with pytest.raises(gf.GranflowError) as stopped, gf.Simulation(overlapping, out=tmp_path) as simulation:
         simulation.run()
     assert "granflow resume" not in str(stopped.value)
+
+
+def test_resumed_run_lists_a_warning_once(taichi_f64, tmp_path, capsys):
+    """The warning names the position of the limit, in the scene and then in `scene_as_run.yaml`."""
+    path, out = scene(0.02).save(tmp_path / "balls.yaml"), tmp_path / "run"
+    assert main(["run", str(path), "--out", str(out), "--until", "1ms", "--threads", "2"]) == 0
+    assert main(["resume", str(out), "--until", "2ms", "--threads", "2"]) == 0
+    capsys.readouterr()
+    warnings = [text for text in gf.read_run(out).result.warnings if "numerics.max_overlap" in text]
+    assert len(warnings) == 1
