@@ -190,7 +190,7 @@ def run_to_end(
     after a stop signal.
     """
     say_checked(scene.path, simulation.warnings)
-    simulation.warnings += printed
+    simulation.warnings.extend(printed)
     try:
         with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
             result = simulation.run(until=until, within_stages=True)

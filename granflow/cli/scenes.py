@@ -66,7 +66,7 @@ def run_scene(options: argparse.Namespace, communicator: "Communicator | None" =
             scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
             communicator=communicator, overwrite=options.overwrite,
         )  # fmt: skip
-        simulation.warnings += restitution_warnings(scene, simulation.plan)
+        simulation.warnings.extend(restitution_warnings(scene, simulation.plan))
     with locked(out):
         # another process may have used the directory in the meantime
         printed += prepare_output(out, scene, options.overwrite)
