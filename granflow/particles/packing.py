@@ -4,7 +4,6 @@ Both avoid existing spheres. The results depend on the random number generator o
 """
 
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +20,6 @@ SWELLING = 0.02
 
 MAX_SWEEPS = 2000
 """Number of sweeps after which overlapping spheres are reported as not fitting."""
-
-FIT_TRIES = 8
-"""Number of further packings that determine how many spheres fit."""
-
-MOST_RETRIED = 20_000
-"""Largest number of spheres of a packing that is repeated for the message."""
 
 STALLED_SWEEPS = 300
 """Number of sweeps without a smaller largest overlap after which they are reported: a sphere is inside an obstacle."""
@@ -138,28 +131,15 @@ def pack_at_random(
     if solid_fraction > MAX_PACKING_FRACTION:
         estimate = len(radius) * MAX_PACKING_FRACTION / solid_fraction
         raise RegionFullError(f"about {float(f'{estimate:.2g}'):.0f} fit", packing_remedy(solid_fraction))
-    before = deepcopy(random)
-    position, left_out = _packed(region, radius, obstacles, random)
-    if not left_out:
-        return position
-    count, tries = len(radius) - left_out, FIT_TRIES if len(radius) <= MOST_RETRIED else 0
-    for _ in range(tries):  # the number in the message is one that fits
-        if not count or not (left_out := _packed(region, radius[:count], obstacles, deepcopy(before))[1]):
-            raise RegionFullError(only_fit(count), packing_remedy(solid_fraction))
-        count -= left_out
-    raise RegionFullError(f"fewer than {count + 1} fit", packing_remedy(solid_fraction))
-
-
-def _packed(
-    region: BoxSampler | CylinderSampler, radius: np.ndarray, obstacles: Spheres, random: np.random.Generator
-) -> tuple[np.ndarray, int]:
-    """Centers (n, 3) [m] of a random packing, and the number of spheres to leave out because overlaps remain."""
-    solid_fraction = np.sum(sphere_volume(radius)) / region.volume
-    spheres = Spheres(region.sample(radius, random), radius).joined(obstacles)
+    start = region.sample(radius, random)
+    spheres = Spheres(start, radius).joined(obstacles)
     swelling = 1 + min(SWELLING, (MAX_PACKING_FRACTION / solid_fraction) ** (1 / 3) - 1)
     position = separate_overlapping(spheres, len(radius), region, swelling)
     overlapping = overlapping_pairs(Spheres(position, spheres.radius), len(radius))
-    return position[: len(radius)], greedy_cover(overlapping, len(radius)) if len(overlapping) else 0
+    if len(overlapping):
+        left_out = greedy_cover(overlapping, len(radius))
+        raise RegionFullError(only_fit(len(radius) - left_out), packing_remedy(solid_fraction))
+    return position[: len(radius)]
 
 
 def only_fit(count: int) -> str:

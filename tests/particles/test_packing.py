@@ -170,13 +170,3 @@ def test_packing_ends_early_if_a_sphere_cannot_leave_an_obstacle(monkeypatch):
     with pytest.raises(packing.RegionFullError, match="none fits"):
         packing.pack_at_random(box, np.array([0.1]), obstacle, np.random.default_rng(1))
     assert len(sweeps) < packing.MAX_SWEEPS / 4
-
-
-def test_the_number_that_a_message_names_fits():
-    """A box of 6 x 6 x 4 diameters at a solid fraction of 0.55, which separation does not reach near walls."""
-    box, none, radius = BoxSampler(np.zeros(3), np.array([0.06, 0.06, 0.04])), Spheres.none(), np.full(150, 0.005)
-    with pytest.raises(packing.RegionFullError) as error:
-        packing.pack_at_random(box, radius, none, np.random.default_rng(1))
-    count = int(error.value.shortfall.split()[1])
-    assert 75 < count < 150
-    assert len(packing.pack_at_random(box, radius[:count], none, np.random.default_rng(1))) == count
