@@ -321,5 +321,6 @@ def test_low_memory_limit_is_refused(monkeypatch, capsys, limit, code):
     resource = pytest.importorskip("resource", reason="limits of POSIX")
     monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
     assert main(["examples"]) == code
-    message = "the memory limit of the process (ulimit -v) is 511 MiB, but granflow needs at least 512 MiB."
+    message = "the memory limit of the process (ulimit -v) is 511 MiB, but granflow needs at least 512 MiB to "
+    message += "start, and a run at least 2 GB: raise or remove the limit."
     assert (message in capsys.readouterr().err) == (code == 2)
