@@ -137,6 +137,32 @@ def build_wrap_position(state: State) -> Any:
     return wrap_position
 
 
+def build_near_image(state: State) -> Any:
+    """Device function (point in the box, number, reach [m]) -> (image of the point [m], whether it is near).
+
+    Numbers are 0 to 3^n - 1 for n periodic axes; number 0 is the point itself. An image is near if the point is within
+    `reach` of each boundary that it has crossed.
+    """
+    periodic_axes = state.plan.periodic_box.axes
+    low, width = state.parameter("domain_low"), state.parameter("box_width")
+
+    @ti.func
+    def near_image(point, number, reach):
+        image, is_near, rest = point, True, number
+        for axis in ti.static(periodic_axes):
+            height, across = point[axis] - low()[axis], width()[axis]
+            if rest % 3 == 1:
+                image[axis] = point[axis] + across
+                is_near = is_near and height < reach
+            elif rest % 3 == 2:
+                image[axis] = point[axis] - across
+                is_near = is_near and across - height < reach
+            rest = rest // 3
+        return image, is_near
+
+    return near_image
+
+
 def build_wrap(state: State) -> Any:
     """Device function (chunk, i, pose, time_step): wrap a particle into the box; its energy gain is boundary work.
 

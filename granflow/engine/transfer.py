@@ -25,6 +25,7 @@ def with_plan(engine: Engine, plan: Plan) -> Engine:
     same_walls = len(plan.walls) == len(engine.plan.walls)
     if same_size and same_walls and structure_of(plan) == structure_of(engine.plan):
         engine.plan = engine.state.plan = engine.stability_monitor.plan = plan
+        engine.state.walls.fill_joints(plan)
         return engine
     refuse_changes(engine)
     saved, motions, backend = saved_state(engine), engine.state.wall_motions, engine.state.backend

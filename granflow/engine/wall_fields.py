@@ -35,6 +35,7 @@ class Walls:
         self.material = block.scalar(ti.i32, count)
         self.present = block.scalar(ti.i32, count)
         self.pivot = block.vector(backend.position_real, count)
+        self.joints = block.scalar(ti.i32, count) if plan.features.joined_walls else None
         moving = plan.features.moving_walls
         self.center = block.vector(backend.position_real, WALL_BATCH, count) if moving else None
         self.rotation = block.matrix(backend.position_real, WALL_BATCH, count) if moving else None
@@ -54,6 +55,13 @@ class Walls:
             if self.impulse_row is not None:
                 measured = plan.measured_walls
                 self.impulse_row[index] = measured.index(wall.name) if wall.name in measured else NOT_MEASURED
+        self.fill_joints(plan)
+
+    def fill_joints(self, plan: Plan) -> None:
+        """Write which walls touch; it changes if a program changes the motion of a wall."""
+        if self.joints is not None:
+            for index, joints in enumerate(plan.wall_joints):
+                self.joints[index] = joints
 
 
 class WallDynamicsFields(Fields):

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.mesh import normal_near, triangle_contact
-from granflow.engine.periodic_box import build_wrap_position
+from granflow.engine.mesh import from_nearest, normal_near, triangle_contact
+from granflow.engine.periodic_box import build_near_image, build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
@@ -33,7 +33,8 @@ class WallGeometry:
         self.kinds = sorted({SHAPE_KINDS.index(shape.kind) for shape in shapes})
         self.real = state.backend.position_real
         self.is_flat = not self.features.mesh_walls and all(shape.kind is HALF_SPACE for shape in shapes)
-        self.wrap_position = build_wrap_position(state)
+        self.wrap_position, self.near_image = build_wrap_position(state), build_near_image(state)
+        self.image_count = 3 ** len(state.plan.periodic_box.axes)
         fields = state.wall_dynamics
         self.controlled_offset, self.controlled_velocity = (
             build_controlled_vector(state, None if fields is None else getattr(fields, name))
@@ -43,7 +44,12 @@ class WallGeometry:
     @ti.func
     def to_wall_frame(self, w, pose, point):
         """The point in the frame of the wall at rest."""
-        local = self.wrap_position(point)
+        return self.image_in_wall_frame(w, pose, self.wrap_position(point))
+
+    @ti.func
+    def image_in_wall_frame(self, w, pose, point):
+        """A point that may be outside of a periodic box, in the frame of the wall at rest."""
+        local = point
         if ti.static(self.features.moving_walls):
             rotation = self.walls.rotation[pose, w]
             local = rotation.transpose() @ (local - self._center(w, pose)) + self.walls.pivot[w]
@@ -128,6 +134,42 @@ class WallGeometry:
             of_pivot = self.velocity(face, pose, self._center(w, pose))
             angular_velocity = ti.cast(self.walls.angular_velocity[pose, w], self.real)
             found -= ti.cast(0.5 * dt, self.real) * angular_velocity.cross(ti.cast(velocity, self.real) - of_pivot)
+        return found
+
+    @ti.func
+    def surface_distance(self, face, pose, point):
+        """Distance [m] of a point from a face, without regard to shared edges; negative behind a half space."""
+        w = self.wall_of(-1 - face)
+        result = self.distance(w, pose, point)
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count():
+                result = from_nearest(
+                    self.state.mesh, face - self.wall_count(), self.to_wall_frame(w, pose, point)
+                ).norm()
+        return result
+
+    @ti.func
+    def from_surface(self, face, pose, point):
+        """Vector [m] to a point from the nearest point of a face, without regard to shared edges.
+
+        In a periodic box, the nearest of the images of the point counts: an image is outside of the box by up to the
+        distance from a boundary.
+        """
+        w = self.wall_of(-1 - face)
+        _, direction = self.closest(face, pose, point)
+        found = self.distance(w, pose, point) * direction
+        if ti.static(self.features.mesh_walls):
+            if face >= self.wall_count():
+                wrapped, nearest = self.wrap_position(point), ti.cast(FAR_AWAY, self.real)
+                for number in range(self.image_count):
+                    image, is_near = self.near_image(wrapped, number, FAR_AWAY)
+                    if is_near:
+                        local = self.image_in_wall_frame(w, pose, image)
+                        separation = from_nearest(self.state.mesh, face - self.wall_count(), local)
+                        if separation.norm() < nearest:
+                            nearest, found = separation.norm(), separation
+                if ti.static(self.features.moving_walls):
+                    found = self.walls.rotation[pose, w] @ found
         return found
 
     @ti.func

@@ -1,9 +1,6 @@
 """Flat walls: half space (one-sided) and rectangle (two-sided).
 
-Rectangles do not share edges with each other (see `shared_edges` for surfaces of revolution). Inside a box of
-rectangles this has no effect, because the nearest points are on faces. Outside, at a convex edge that two rectangles
-share, a particle touches both edges and the stiffness is doubled. A rectangle on a half space is not affected: the
-common edge is accessible only through the half space.
+Where rectangles touch each other or other walls, `engine.wall_contact` finds the one that has a contact.
 """
 
 from collections.abc import Sequence

@@ -17,6 +17,7 @@ from granflow.plan.feature_reasons import reasons_for
 from granflow.plan.features import features_of
 from granflow.plan.forecast.build import forecasts_of
 from granflow.plan.forecast.sizes import size_problems
+from granflow.plan.joined_walls import joints_of
 from granflow.plan.liquid import refuse_coarse_liquid
 from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
 from granflow.plan.meshes import MeshNote, notes_on
@@ -97,7 +98,8 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
     pairs = pair_materials(scene, models, solids)
     laws = build_laws(scene, groups, models, pairs, velocity)
     law = laws.normal
-    features = features_of(scene, models, law.rate_dependent)
+    joints = joints_of(walls, radius_max, scene.domain.periodic_box().axes)
+    features = features_of(scene, models, law.rate_dependent, any(joints))
     pair_constants = pair_table(scene, laws, pairs, materials)
     refuse_coarse(scene, radius_min)
     refuse_coarse_liquid(scene, features.liquid_transfer)
@@ -130,6 +132,7 @@ def _plan_without_forecasts(scene: Scene, on_gpu: bool) -> Plan:
         step=step,
         impact_velocity=impact_velocity,
         walls=walls,
+        wall_joints=joints,
         mesh_notes=_mesh_notes(scene, walls, 2.0 * radius_min),
         wall_speed=speed,
         controlled_motions=controlled_motions,

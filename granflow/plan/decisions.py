@@ -83,6 +83,8 @@ class Decisions:
     step: TimeStep
     impact_velocity: ImpactVelocity
     walls: tuple[PlannedWall, ...]
+    wall_joints: tuple[int, ...]
+    """For each wall, whether it touches others or itself; see `joined_walls.joints_of`."""
     measured_walls: tuple[str, ...]
     """Names of the walls with measured forces."""
     mesh_notes: tuple[MeshNote, ...]

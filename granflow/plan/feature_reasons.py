@@ -40,6 +40,11 @@ def reasons_for(scene: Scene, features: Features) -> tuple[Reason, ...]:
         "surface_velocity": _belt_reason(scene, features),
         "force_controlled_walls": _force_controlled_reason(scene, features),
         "mesh_walls": _mesh_reason(scene, features),
+        "joined_walls": (
+            "the surfaces of walls, or parts of a mesh, may touch: a contact found on several of them counts once"
+            if features.joined_walls
+            else "the surfaces of the walls do not touch each other"
+        ),
         "one_material": _material_reason(scene),
         "energy_budget": (
             f"output.energy_budget is {'on' if features.energy_budget else 'off'} "

@@ -33,6 +33,7 @@ class Features:
     surface_velocity: bool
     force_controlled_walls: bool
     mesh_walls: bool
+    joined_walls: bool
     one_material: bool
     energy_budget: bool
     wall_forces: bool
@@ -56,12 +57,14 @@ class Features:
     """Forces from Python, see `Plan.external_forces`; never from the scene."""
 
 
-def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool) -> Features:
+def features_of(
+    scene: Scene, models: Mapping[str, ContactModel], law_is_damped: bool, has_joined_walls: bool
+) -> Features:
     """Derive all features from the scene.
 
     `models`: active contact models by slot; `law_is_damped`: whether the normal contact model has a viscous term, so
-    that forces depend on synchronized velocities. Rotation is on only with friction, rolling or twisting friction,
-    or with clumps: otherwise no torque exists.
+    that forces depend on synchronized velocities; `has_joined_walls`: whether surfaces of walls may touch. Rotation is
+    on only with friction, rolling or twisting friction, or with clumps: otherwise no torque exists.
     """
     classes, clumps = size_classes(scene.particles), any(group.clump for group in scene.particles.values())
     return Features(
@@ -76,6 +79,7 @@ def features_of(scene: Scene, models: Mapping[str, ContactModel], law_is_damped:
         surface_velocity=any(has_belt(wall) for wall in scene.walls.values()),
         force_controlled_walls=any(is_force_controlled(wall) for wall in scene.walls.values()),
         mesh_walls=any(wall.shape == "mesh" for wall in scene.walls.values()),
+        joined_walls=has_joined_walls,
         one_material=len({group.material for group in scene.particles.values()}) == 1,
         energy_budget=scene.output.energy_budget,
         wall_forces=bool(scene.measured_walls),

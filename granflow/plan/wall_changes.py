@@ -8,6 +8,7 @@ import numpy as np
 from granflow.errors import GranflowError
 from granflow.geometry import motion, motion_speed
 from granflow.geometry.catalog import reach_about
+from granflow.plan.joined_walls import joints_of
 from granflow.plan.plan import Plan
 from granflow.plan.walls import PlannedMotion, PlannedWall
 
@@ -51,12 +52,15 @@ def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
         )
     walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
     has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
     features = replace(
         plan.features,
+        joined_walls=plan.features.joined_walls or any(joints),
         moving_walls=plan.features.moving_walls or bool(wall.motions),
         surface_velocity=plan.features.surface_velocity or has_belt,
     )
-    return replace(plan, walls=walls, features=features, wall_speed=max(plan.wall_speed, speed))
+    wall_speed = max(plan.wall_speed, speed)
+    return replace(plan, walls=walls, wall_joints=joints, features=features, wall_speed=wall_speed)
 
 
 def wall_named(plan: Plan, name: str) -> PlannedWall:

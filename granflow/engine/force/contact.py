@@ -19,7 +19,7 @@ from granflow.engine.neighbor.contact_history_entry import (
     build_read_history,
     build_write_history,
 )
-from granflow.engine.neighbor.mesh_contact_history import (
+from granflow.engine.neighbor.wall_contact_history import (
     build_acquire_history,
     build_release_history,
     transfers_history,

@@ -15,7 +15,7 @@ from granflow.engine.force.contact import build_contact
 from granflow.engine.force.contact_accounting import build_carry_sums, build_clear_wall_work_ahead
 from granflow.engine.force.set_forces import build_set_forces
 from granflow.engine.force.simd_pair_force import build_batched_forces
-from granflow.engine.neighbor.mesh_contact_history import (
+from granflow.engine.neighbor.wall_contact_history import (
     CONTACT_ORDER,
     transfers_history,
 )

@@ -8,6 +8,7 @@ from granflow.engine.force.structs import build_constants
 from granflow.engine.frozen_masks import build_contact_mass
 from granflow.engine.periodic_box import build_image_velocity, build_minimum_image
 from granflow.engine.state import State
+from granflow.engine.wall_contact import build_wall_contact
 from granflow.engine.walls import WallGeometry, build_wall_of
 from granflow.kernel_language import ti
 from granflow.plan.sum_units import ENERGY, FORCE
@@ -80,11 +81,12 @@ def _build_wall_kinematics(state: State) -> Any:
     """
     particles, features, real = state.particles, state.plan.features, state.backend.real
     geometry, acts_at_distance = WallGeometry(state), state.plan.laws.acts_at_distance
+    wall_contact = build_wall_contact(state, geometry)
 
     @ti.func
     def wall_kinematics(i, j, pose, time_step):
         radius, face = particles.radius[i], -1 - j
-        gap, direction = geometry.closest(face, pose, particles.position[i])
+        gap, direction = wall_contact(i, j, pose)
         found = no_contact(ti.cast(radius - gap, real), particles.velocity[i])
         found.arm = radius - 0.5 * found.overlap
         if ti.static(acts_at_distance):

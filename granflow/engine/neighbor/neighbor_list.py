@@ -91,16 +91,36 @@ class NeighborListFill:
 
     @ti.func
     def _append_triangles(self, owner: ti.template(), list_index, w):
-        """Append the triangles of a mesh that are within reach and may own a contact."""
+        """Append the triangles of a mesh that are within reach and may own a contact.
+
+        In a periodic box, also of a contact after the particle has crossed a boundary.
+        """
         list_end, slack = list_index, self._slack(owner)
-        reach = self.particles.radius[owner.i] + slack
-        local = self.geometry.to_wall_frame(w, owner.pose, self.particles.position[owner.i])
-        begin, end = triangle_range(self.mesh, w, local)
-        for k in range(begin, end):
-            t = self.mesh.cell_triangles[k]
-            if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
-                list_end = self._append(owner, list_end, -1 - self.wall_count() - t)
+        position = self.geometry.wrap_position(self.particles.position[owner.i])
+        for number in range(self.geometry.image_count):
+            image, is_near = self.geometry.near_image(position, number, slack)
+            if is_near:
+                local = self.geometry.image_in_wall_frame(w, owner.pose, image)
+                begin, end = triangle_range(self.mesh, w, local)
+                for k in range(begin, end):
+                    t = self.mesh.cell_triangles[k]
+                    if self._first_image_at(owner, w, t, position, number) == number:
+                        list_end = self._append(owner, list_end, -1 - self.wall_count() - t)
         return list_end
+
+    @ti.func
+    def _first_image_at(self, owner: ti.template(), w, t, position, last):
+        """Number of the first image up to `last` that may have a contact with triangle t, or `last` + 1."""
+        slack, number, found = self._slack(owner), 0, last + 1
+        reach = self.particles.radius[owner.i] + slack
+        while number <= last and found > last:
+            image, is_near = self.geometry.near_image(position, number, slack)
+            if is_near:
+                local = self.geometry.image_in_wall_frame(w, owner.pose, image)
+                if may_own(self.mesh, t, local, slack) == 1 and from_nearest(self.mesh, t, local).norm() < reach:
+                    found = number
+            number += 1
+        return found
 
     @ti.func
     def _append_particles(self, owner: ti.template(), list_index):

@@ -1,0 +1,182 @@
+"""Walls that touch or overlap act as one surface: each contact counts once, and its history follows the contact point.
+
+Spheres with friction and rolling friction cross seams during a collision. The expected motion is that on one plane,
+because all surfaces lie in the plane z = 0.
+"""
+
+import numpy as np
+import pytest
+from geometry.meshes import write
+from scene_builders import build_scene, particle_group, plane, run_and_sample
+
+RADIUS = 2e-3
+VELOCITY = np.array([0.4, 0.15, -0.5])
+GAP = 1e-4
+TIME_TO_SEAM = 4.6e-4
+"""From the start to the middle of the collision: 0.2 ms of flight, and half of the loading and unloading."""
+
+PAIR = {"restitution": 0.3, "friction": 0.4, "rolling_friction": 0.1}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working directory, from which scenes without a file read meshes."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def mesh_wall(file, **more):
+    return {"shape": "mesh", "file": file, "material": "glass", **more}
+
+
+def rectangle(corner, *sides):
+    return {"shape": "rectangle", "corner": list(corner), "sides": [list(side) for side in sides], "material": "glass"}
+
+
+def disc(center, radius, hole_radius=0.0):
+    return {
+        "shape": "disc", "center": list(center), "normal": [0, 0, 1], "radius": radius, "hole_radius": hole_radius,
+        "material": "glass",
+    }  # fmt: skip
+
+
+def brick(low, high):
+    """Points and triangles of a closed box."""
+    low, high = np.array(low, float), np.array(high, float)
+    points = low + (high - low) * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return points, np.array([[a, b, c] for q in quads for a, b, c in (q[:3], [q[0], q[2], q[3]])])
+
+
+def flat(low, high):
+    """Points and triangles of a rectangle in the plane z = 0."""
+    points = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    return points, np.array([[0, 2, 3], [0, 3, 1]])
+
+
+def together(*surfaces):
+    """One surface with the points and triangles of several."""
+    starts = np.cumsum([0, *(len(points) for points, _ in surfaces)])
+    corners = [corners + start for (_, corners), start in zip(surfaces, starts, strict=False)]
+    return np.concatenate([points for points, _ in surfaces]), np.concatenate(corners)
+
+
+def on_seam(x, y, shares=(-0.4, 0.0, 0.4)):
+    """Positions of spheres that cross the line of this x at three times of the collision, near y."""
+    start = np.array([x, y, RADIUS + GAP]) - VELOCITY * [TIME_TO_SEAM, TIME_TO_SEAM, 0.0]
+    return [start + [share * RADIUS * 0.1, 6e-3 * k, 0.0] for k, share in enumerate(shares)]
+
+
+def seams(folder):
+    """Walls at z = 0 with seams, and positions of spheres that cross them."""
+    walls, positions = {}, []
+    # Two closed bodies in one file, whose triangles share no vertex; the second one is deeper and narrower.
+    write(folder / "blocks.stl", *together(brick([-0.08, -0.08, -0.02], [-0.06, -0.05, 0]),
+                                           brick([-0.06, -0.075, -0.03], [-0.045, -0.053, 0])))  # fmt: skip
+    walls["blocks"] = mesh_wall("blocks.stl")
+    positions += on_seam(-0.06, -0.072)
+    # Overlapping patches of one file, and a rib of the same file that ends at the plate from below.
+    write(folder / "patches.stl", *together(flat([-0.03, -0.08], [-0.008, -0.05]),
+                                            flat([-0.012, -0.078], [0.01, -0.052]),
+                                            brick([-0.0121, -0.09, -0.01], [-0.0101, -0.04, 0])))  # fmt: skip
+    walls["patches"] = mesh_wall("patches.stl")
+    positions += on_seam(-0.0101, -0.072)
+    # A T-junction of two files: the edges of one plate end within the edge of the other.
+    write(folder / "wide.stl", *flat([0.02, -0.08], [0.04, -0.04]))
+    write(folder / "narrow.stl", *together(flat([0.04, -0.08], [0.06, -0.069]), flat([0.04, -0.069], [0.06, -0.04])))
+    walls |= {"wide": mesh_wall("wide.stl"), "narrow": mesh_wall("narrow.stl")}
+    positions += on_seam(0.04, -0.075)
+    # Rectangles side by side, and overlapping.
+    walls["left"] = rectangle([-0.08, -0.03, 0], [0.02, 0, 0], [0, 0.03, 0])
+    walls["right"] = rectangle([-0.06, -0.03, 0], [0.02, 0, 0], [0, 0.03, 0])
+    positions += on_seam(-0.06, -0.024)
+    walls["below"] = rectangle([-0.03, -0.03, 0], [0.02, 0, 0], [0, 0.03, 0])
+    walls["above"] = rectangle([-0.012, 0, 0], [0.03, 0, 0], [0, -0.03, 0])
+    positions += on_seam(-0.0118, -0.024)
+    # A plug in a floor with a hole; a disc beside a mesh and on a flange of a tube with the same outer radius.
+    walls["floor"] = disc([0.05, -0.01, 0], 0.02, 0.01)
+    walls["plug"] = disc([0.05, -0.01, 0], 0.01)
+    positions += on_seam(0.06, -0.016)
+    walls["tube"] = {"shape": "cylinder", "from": [-0.06, 0.02, -0.03], "to": [-0.06, 0.02, 0], "radius": 0.01,
+                     "material": "glass"}  # fmt: skip
+    walls["cover"] = disc([-0.06, 0.02, 0], 0.01)
+    walls["flange"] = disc([-0.06, 0.02, 0], 0.02, 0.01)
+    positions += on_seam(-0.05, 0.014)
+    write(folder / "frame.stl", *flat([-0.02, 0.005], [0.0, 0.035]))
+    walls["frame"] = mesh_wall("frame.stl")
+    walls["beside"] = rectangle([0.0, 0.005, 0], [0.02, 0, 0], [0, 0.03, 0])
+    positions += on_seam(0.0, 0.011)
+    # A mesh across the periodic faces.
+    write(folder / "across.stl", *flat([-0.1, 0.05], [0.1, 0.09]))
+    walls["across"] = mesh_wall("across.stl")
+    positions += on_seam(0.1, 0.06, (-0.6, -0.3, 0.0, 0.3))
+    return walls, np.array(positions)
+
+
+def collisions(walls, positions, **parts):
+    """A scene in a box that is periodic along x."""
+    group = particle_group(positions, 2 * RADIUS, velocity=VELOCITY.tolist(), angular_velocity=[20.0, 50.0, 30.0])
+    domain = {"min": [-0.1, -0.1, -0.1], "max": [0.1, 0.1, 0.1], "periodic": ["x"], "on_exit": "error"}
+    output = {"interval": 4e-3, "energy_budget": True}
+    return build_scene(
+        {"balls": group}, walls=walls, domain=domain, output=output, pair=PAIR, rolling="epsd",
+        materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
+        run={"duration": 2e-3, "velocity_max": 0.7}, **parts,
+    )  # fmt: skip
+
+
+def test_seams_of_walls_have_no_effect(taichi_f64, folder):
+    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic boundary."""
+    walls, positions = seams(folder)
+    ground = {"ground": plane([0, 0, 0], [0, 0, 1])}
+    found, expected = (run_and_sample(collisions(each, positions), 5e-5, 2e-3) for each in (walls, ground))
+    assert len(found) == len(expected)
+    counts = np.sum([each.particles["wall_contact_count"] for each in found], axis=0)
+    assert np.all(counts >= 8), "all particles are in contact for at least eight samples"
+    for snapshot, exact in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(snapshot.particles["wall_contact_count"], exact.particles["wall_contact_count"])
+        for name in ("position", "velocity", "angular_velocity"):
+            size = np.abs(exact.particles[name]).max()
+            np.testing.assert_allclose(snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-8 * size)
+        assert snapshot.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], abs=1e-8)
+    np.testing.assert_allclose(found[-1].particles["velocity"][:, 2], 0.15, rtol=1e-3)
+
+
+def test_different_contacts_stay_different(taichi_f64, folder):
+    """Corners and grooves give a contact with each side, also where the walls touch; edges and tips give one.
+
+    A sphere that falls on the middle of a right-angled groove rebounds with the restitution of one wall: along each
+    normal, its mass and velocity are those of a collision with that wall alone. On an edge
+    that two walls share, the sphere has one contact along the line from the edge.
+    """
+    a = np.cos(np.pi / 4)
+    walls = {
+        "ground": plane([0, 0, 0], [0, 0, 1]),
+        "post": rectangle([-0.05, -0.05, 0], [0, 0.1, 0], [0, 0, 0.05]),
+        "left": rectangle([0.02, -0.05, 0.02], [0, 0.1, 0], [-0.02 * a, 0, 0.02 * a]),
+        "right": rectangle([0.02, -0.05, 0.02], [0, 0.1, 0], [0.02 * a, 0, 0.02 * a]),
+        "top": rectangle([0.06, -0.05, 0.03], [0.02, 0, 0], [0, 0.1, 0]),
+        "side": rectangle([0.06, -0.05, 0.03], [0, 0, -0.02], [0, 0.1, 0]),
+    }
+    write(folder / "ramp.stl", np.array([[0.02, y, 0.06] for y in (-0.05, 0.05)]
+          + [[0.02 + 0.02 * side, y, 0.08] for side in (-1, 1) for y in (-0.05, 0.05)]),
+          np.array([[0, 1, 3], [0, 3, 2], [0, 1, 5], [0, 5, 4]]))  # fmt: skip
+    walls["ramp"] = mesh_wall("ramp.stl")
+    away = np.array([-a, 0.0, a])
+    positions = np.array([
+        [-0.05 + RADIUS + 1e-5, 0, RADIUS + 1e-5],
+        [0.02, 0, 0.02 + (RADIUS + 1e-5) / a],
+        [0.02, 0, 0.06 + (RADIUS + 1e-5) / a],
+        np.array([0.06, 0, 0.03]) + (RADIUS + 1e-5) * away,
+    ])  # fmt: skip
+    velocity = 0.5 * np.array([[-a, 0, -a], [0, 0, -1], [0, 0, -1], -away])
+    group = particle_group(positions, 2 * RADIUS, velocity=velocity)
+    scene = build_scene(
+        {"balls": group}, walls=walls, pair={"restitution": 0.6}, normal="hertz",
+        materials={"glass": {"young_modulus": 1e7, "poisson_ratio": 0.25, "density": 2500.0}},
+        run={"duration": 2e-3, "velocity_max": 0.7}, output={"interval": 2e-3},
+    )  # fmt: skip
+    found = run_and_sample(scene, 1e-4, 2e-3)
+    most = np.max([each.particles["wall_contact_count"] for each in found], axis=0)
+    np.testing.assert_array_equal(most, [2, 2, 2, 1])
+    np.testing.assert_allclose(found[-1].particles["velocity"], -0.6 * velocity, atol=2e-3)
