@@ -53,7 +53,7 @@ class Engine(Readings):
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
         self._gravity = np.array(plan.gravity)
-        self._walls_changed = False
+        self._walls_changed = self._stopped_by_change = False
         self._started = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
@@ -107,7 +107,7 @@ class Engine(Readings):
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started, self.energy_before_change = False, None
+        self._started, self.energy_before_change, self._stopped_by_change = False, None, False
         self.insert(new)
         self.refresh()
 
@@ -140,6 +140,7 @@ class Engine(Readings):
             before, energy = self._contact_energy(), self._contact_energy
         self.stepper.poses.discard()
         self.stepper.refresh(self.step_count, velocities_lag=self._started)
+        self._stopped_by_change = self._started and self.aborted
         if before is not None:
             self.accounting.inserted_energy += energy() - before
         self._walls_changed, self.energy_before_change = False, None

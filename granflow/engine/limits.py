@@ -62,6 +62,8 @@ class Diagnosis:
     time_step: float
     begun: bool
     """True if a step was taken; false if only the initial forces were computed."""
+    after_change: bool
+    """True if the forces are those after an insertion or a change of walls, before the next step."""
 
 
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -98,6 +100,12 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         needed = float(f"{pair.overlap + 0.005:.2f}")
         accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
         return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
+    if diagnosis.after_change and pair.second.position is None:
+        return (
+            f"{description} The particle was inserted there, or the wall appeared there, at this time: choose a region "
+            f"for the insertion that does not intersect {pair.second.name}, or let the wall appear where there are no "
+            "particles."
+        )
     description = f"{description} {_relative_motion(pair)}"
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"

@@ -62,6 +62,7 @@ class Readings:
     _gravity: np.ndarray
     _started: bool
     _walls_changed: bool
+    _stopped_by_change: bool
     _counts_contacts: bool
 
     @property
@@ -115,7 +116,7 @@ class Readings:
         if not code:
             return None
         particle = int(self.state.control.abort_particle[0])
-        return diagnose(code, particle, self.state, self.time, self._started)
+        return diagnose(code, particle, self.state, self.time, self._started, self._stopped_by_change)
 
     def _contact_energy(self) -> float:
         """Elastic energy and plastic dissipation [J] of the present contacts."""

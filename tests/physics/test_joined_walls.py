@@ -9,6 +9,10 @@ import pytest
 from geometry.meshes import write
 from scene_builders import build_scene, particle_group, plane, run_and_sample
 
+from granflow.errors import RunError
+from granflow.plan.build import plan_for
+from granflow.simulation import Simulation
+
 RADIUS = 2e-3
 VELOCITY = np.array([0.4, 0.15, -0.5])
 GAP = 1e-4
@@ -180,3 +184,32 @@ def test_different_contacts_stay_different(taichi_f64, folder):
     most = np.max([each.particles["wall_contact_count"] for each in found], axis=0)
     np.testing.assert_array_equal(most, [2, 2, 2, 1])
     np.testing.assert_allclose(found[-1].particles["velocity"], -0.6 * velocity, atol=2e-3)
+
+
+def test_coincident_walls_are_reported(folder):
+    """Walls with the same surface: planes through different points, rectangles from different corners, equal meshes."""
+    write(folder / "plate.stl", *flat([0, 0], [0.01, 0.01]))
+    walls = {
+        "a": plane([0, 0, 0], [0, 0, 1]),
+        "b": plane([0.3, 0.2, 0], [0, 0, 2]),
+        "upper": plane([0, 0, 0.01], [0, 0, 1]),
+        "c": rectangle([0, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
+        "d": rectangle([0.01, 0.02, 0.05], [0, -0.02, 0], [-0.01, 0, 0]),
+        "beside": rectangle([0.01, 0, 0.05], [0.01, 0, 0], [0, 0.02, 0]),
+        "e": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
+        "f": mesh_wall("plate.stl", translate=[0, 0, 0.1]),
+    }
+    found = [each.warning for each in plan_for(build_scene({"b": particle_group([0, 0, 0.3])}, walls=walls)).forecasts]
+    same = [(text.split()[0], text.split(":")[0].split()[-1]) for text in found if text and "same surface" in text]
+    assert same == [("walls.b", "walls.a"), ("walls.d", "walls.c"), ("walls.f", "walls.e")]
+
+
+def test_particles_that_are_inserted_into_a_mesh_are_reported_as_such(taichi_f64, folder):
+    """Rain does not consider walls: the message names the insertion and the wall, not velocity and modulus."""
+    write(folder / "plate.stl", *flat([-0.1, -0.1], [0.1, 0.1]))
+    region = {"box": {"min": [-0.05, -0.05, -2e-3], "max": [0.05, 0.05, 4e-3]}}
+    rain = {"kind": "rain", "rate": 1e5, "start": 1e-4, "region": region}
+    group = {"material": "glass", "count": 20, "diameter": 2 * RADIUS, "insert": rain, "velocity": [0, 0, -0.1]}
+    scene = build_scene({"drops": group}, walls={"bowl": mesh_wall("plate.stl")}, run={"duration": 0.01})
+    with pytest.raises(RunError, match=r"was inserted there.*does not intersect wall bowl"):
+        Simulation(scene).run()

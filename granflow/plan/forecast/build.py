@@ -16,7 +16,7 @@ from granflow.plan.forecast.servos import servo_warnings
 from granflow.plan.forecast.sizes import size_warnings
 from granflow.plan.forecast.times import nominal_times
 from granflow.plan.forecast.units import unit_warnings
-from granflow.plan.forecast.walls import wall_warnings
+from granflow.plan.forecast.walls import coincidence_warnings, wall_warnings
 from granflow.plan.plan import Plan
 
 
@@ -42,6 +42,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
         *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
         *size_warnings(scene),
         *wall_warnings(scene, plan.walls, times),
+        *coincidence_warnings(scene, plan.walls),
         *region_warnings(scene, plan, times),
         *servo_warnings(scene, plan, times),
         *insertion_warnings(scene, plan, times),

@@ -1,12 +1,14 @@
-"""Forecasts of walls that are far outside the domain, and of walls that leave it."""
+"""Forecasts of walls that are far outside the domain, of walls that leave it, and of coincident walls."""
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
-from granflow.geometry.catalog import distance_from
+from granflow.geometry.catalog import Surface, distance_from, triangles
 from granflow.geometry.mesh.mesh import Mesh
 from granflow.geometry.motion import pose
+from granflow.geometry.plane import HALF_SPACE
 from granflow.load import Scene
 from granflow.plan.forecast.sizes import oversized
 from granflow.plan.forecast.times import present_from
@@ -16,6 +18,9 @@ from granflow.scene.schema.motions import Translation
 
 POINTS_PER_AXIS = 13
 """Points along each axis of the domain at which the distance from a wall is computed."""
+
+SAME_CORNER = 1e-6
+"""Distance of corners over the size of a wall below which they are the same."""
 
 TIMES = 40
 """Times of the run at which the position of a moving wall is computed."""
@@ -42,6 +47,39 @@ def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes)
             yield _outside(scene, wall, float(gap.min()))
         elif gap[-1] > 0.0 and endless:
             yield _leaves(scene, wall, times, gap)
+
+
+def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+    """A sentence for each wall with the surface of another one that moves and is present like it.
+
+    Particles are in contact with the first one only, see `engine.wall_contact`.
+    """
+    for first, second in combinations(walls, 2):
+        times = [(each.motions, each.stages, each.appears_at, each.vanishes_at) for each in (first, second)]
+        if times[0] == times[1] and _are_equal(first.shape, second.shape):
+            yield (
+                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as walls.{first.name}:"
+                f" particles are in contact with walls.{first.name} only, and its material counts. Remove one of the "
+                "two."
+            )
+
+
+def _are_equal(one: Surface, other: Surface) -> bool:
+    """Whether two surfaces have the same corners, or are the same half space, within rounding."""
+    if not isinstance(one, Mesh) and not isinstance(other, Mesh):
+        if one.kind is not other.kind:
+            return False
+        if one.kind is HALF_SPACE:
+            normal, distance = one.parameters[3:6], (other.parameters[0:3] - one.parameters[0:3]) @ one.parameters[3:6]
+            size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
+            is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
+            return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
+    points, other_points = (triangles(each, np.zeros(3), 1.0)[0] for each in (one, other))
+    if points.shape != other_points.shape:
+        return False
+    size = np.ptp(points, axis=0).max()
+    points, other_points = (np.round(each / (SAME_CORNER * size)) for each in (points, other_points))
+    return np.array_equal(*(each[np.lexsort(each.T)] for each in (points, other_points)))
 
 
 def _gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
