@@ -53,12 +53,15 @@ def sheared():
 
 
 def mesh_floor(folder):
-    """Particles that slide over the triangles of a bumpy floor."""
+    """Particles that slide over the triangles of a bumpy floor, and over the seam of two plates in it."""
     os.chdir(folder)  # meshes of a scene without a file are in the working directory
     write(Path("floor.stl"), *sheet(6, 0.06, bumps=0.0005))
     positions = np.argwhere(np.ones((4, 4, 2))) * 0.011 + [-0.0165, -0.0165, 0.0065]
     balls = particle_group(positions, 0.01, velocity=np.tile([0.6, 0.3, -0.5], (len(positions), 1)))
     walls = {"floor": {"shape": "mesh", "file": "floor.stl", "material": "glass"}}
+    for name, x in (("left", -0.03), ("right", 0.0)):
+        sides = [[0.03, 0, 0], [0, 0.06, 0]]
+        walls[name] = {"shape": "rectangle", "corner": [x, -0.03, 0], "sides": sides, "material": "glass"}
     return build_scene(
         {"balls": balls}, walls=walls, pair={"friction": 0.4}, gravity=[0, 0, -9.81],
         run={"duration": 0.002, **RUN}, **GPU_CHUNKS,
