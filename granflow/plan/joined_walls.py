@@ -104,15 +104,22 @@ def _motions_in(wall: PlannedWall) -> tuple[PlannedMotion, ...]:
 def _can_end_on(bounded: Surface, plane: Surface, tolerance: float) -> bool:
     """Whether a particle above a half space can be in contact with a bounded surface at the plane.
 
-    It cannot with an upright rectangle or cylinder that rises from the plane: the contact is as high as its center.
+    It cannot with an upright rectangle, cylinder or part of a mesh that rises from the plane: the contact is as high as
+    its center.
     """
     assert isinstance(plane, Shape)
     normal = plane.parameters[3:6]
     height = (_points_of(bounded) - plane.parameters[0:3]) @ normal
     if height.min() > tolerance:
         return False
-    if isinstance(bounded, Mesh) or height.max() <= tolerance:
+    if height.max() <= tolerance:
         return True
+    if isinstance(bounded, Mesh):
+        of_triangles = height[bounded.corners]
+        is_near = of_triangles.min(axis=1) <= tolerance
+        is_upright = np.abs(bounded.adjacency.normal @ normal) <= ANGLE_TOLERANCE
+        rises = of_triangles.max(axis=1) > tolerance
+        return not bool(np.all((is_upright & rises)[is_near]))
     if bounded.kind is RECTANGLE:
         return not any(is_parallel(bounded.parameters[k : k + 3], normal) for k in (3, 6))
     is_cylinder = bounded["direction_r"] == 0.0
