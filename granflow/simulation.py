@@ -209,8 +209,10 @@ class Simulation:
     def snapshot(self, contacts: bool = False) -> Snapshot:
         """Return the current state as read-only arrays, particles ordered by id.
 
-        `contacts`: also evaluate the contacts.
+        `contacts`: also evaluate the contacts. Before the first step, the first stage begins: its walls are placed and
+        its first particles inserted; the run gives the same results as without the snapshot.
         """
+        self._state.begin()
         self._loop.prepare()
         quantities = {PARTICLES, WALLS, TOTALS, *([CONTACTS] if contacts else [])}
         return self.engine.snapshot(self.stage, frozenset(quantities))

@@ -213,8 +213,9 @@ class LiveParticles:
 
     def _force(self) -> np.ndarray:
         """Forces (n, 3) at the present positions, of the forces that are present now."""
+        self._state.begin()
         self._state.prepare()
-        if self._engine.is_changed and self._state.progress.stage_times:
+        if self._engine.is_changed:
             self._engine.refresh()
         return self._field("force").astype(float)
 

@@ -21,12 +21,14 @@ from granflow.engine.engine import Engine
 from granflow.engine.transfer import with_plan
 from granflow.io.checkpoint import Checkpoint
 from granflow.plan.plan import Plan
+from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
 from granflow.runs.checkpoint_observers import check_observers, check_streams
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
 from granflow.runs.python_changes import saved_changes
 from granflow.runs.rank_checkpoint import rank_files_of
+from granflow.runs.rest import REST_CHECKS
 from granflow.runs.resume import Change, plan_fingerprint
 from granflow.runs.stage_progress import StageProgress
 from granflow.runs.timings import WallClock
@@ -54,6 +56,7 @@ class RunState:
         self.plan = engine.plan
         self._original = original
         self._earlier, self._walls_changed = earlier, False
+        self.is_unobserved = False
         engine.set_stage(self.progress.stage)
 
     @property
@@ -91,6 +94,27 @@ class RunState:
         if self._walls_changed and self.progress.stage_times:
             self.progress.set_walls(self.engine)
         self._walls_changed = False
+
+    def begin(self) -> None:
+        """Begin the first stage, unless this is done: contacts and forces of the initial state are known from then on.
+
+        The observers receive the initial state when the run begins, until which `is_unobserved` is True.
+        """
+        if not self.progress.stage_times:
+            self.begin_stage(self.engine.plan.stages[0])
+            self.is_unobserved = True
+
+    def begin_stage(self, stage: PlannedStage) -> None:
+        """Begin a stage: place its walls, insert due particles, compute the forces."""
+        self.prepare()
+        progress, engine = self.progress, self.engine
+        progress.begin(stage.name, engine.time, stage.longest / REST_CHECKS)
+        engine.set_stage(stage.name)
+        progress.set_walls(engine)
+        self.insertion.insert_due(engine)
+        engine.refresh()
+        progress.servos.begin(engine, stage.longest)
+        progress.conditions.begin(stage, engine.time)
 
     def change_walls(self, plan: Plan) -> None:
         """Continue with a plan with other walls."""

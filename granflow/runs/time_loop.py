@@ -96,9 +96,12 @@ class TimeLoop:
 
     def _begin_run(self) -> None:
         """Begin the first stage and notify all observers, unless this is done: the run has then begun."""
-        if self.state.progress.stage_times:
+        if self.state.progress.stage_times and not self.state.is_unobserved:
             return
+        if self.state.is_unobserved:  # begun by a snapshot; Python may have changed the state since
+            self.prepare()
         self._begin_stage(self.engine.plan.stages[0])
+        self.state.is_unobserved = False
         try:
             self._notify(self.state.observers.notify_all)
         except StopRun:
@@ -108,18 +111,11 @@ class TimeLoop:
         self._keep_state()
 
     def _begin_stage(self, stage: PlannedStage) -> None:
-        """Begin a stage: place its walls, insert due particles, compute the forces."""
-        progress = self.state.progress
+        """Begin a stage, unless it has begun. Raises RunError if its state exceeds a limit."""
         logging.getLogger("granflow").info("stage %s begins at %.6g s", stage.name, self.engine.time)
-        self.state.prepare()
-        progress.begin(stage.name, self.engine.time, stage.longest / REST_CHECKS)
-        self.engine.set_stage(stage.name)
-        progress.set_walls(self.engine)
-        self.state.insertion.insert_due(self.engine)
-        self.engine.refresh()
+        if stage.name not in self.state.progress.stage_times:
+            self.state.begin_stage(stage)
         self._abort_if_diagnosed()
-        progress.servos.begin(self.engine, stage.longest)
-        progress.conditions.begin(stage, self.engine.time)
 
     def _notify(self, notify: Callable[..., object], *arguments: object) -> None:
         """Call a method of the observer list with a function that takes the snapshot; its time counts as output."""

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from clumps import clump_group
-from scene_builders import build_scene, particle_group, plane
+from scene_builders import SOFT, build_scene, particle_group, plane
 
 import granflow as gf
 from granflow.cli.main import main
@@ -283,3 +283,33 @@ def test_a_particle_that_is_still_to_be_inserted_needs_the_pair(taichi_f64):
     groups = {"ball": {"material": "glass", "count": 1, "diameter": 0.01, "insert": later}}
     with gf.Simulation(without_pairs(groups)) as simulation, pytest.raises(gf.GranflowError, match="no pair glass-gla"):
         simulation.particles.add([0.5, 0.0, 0.0])
+
+
+def overlapping_pair():
+    """Two particles that overlap by 0.1 mm, and rest."""
+    return build_scene(
+        {"pair": particle_group([[0.0, 0.0, 0.0], [9.9e-3, 0.0, 0.0]])}, normal="hertz", gravity=[0.0, 0.0, 0.0],
+        run={"duration": 1e-4, "velocity_max": 1.0}, output={"interval": 1.0, "energy_budget": True},
+    )  # fmt: skip
+
+
+def test_snapshot_and_forces_before_the_first_step_contain_the_contacts(taichi_f64):
+    """Hertz: F = 4/3 E* sqrt(R*) d^1.5 and U = 2/5 F d. The run gives the same bits as without the snapshot."""
+    modulus = SOFT["young_modulus"] / (2.0 * (1.0 - SOFT["poisson_ratio"] ** 2))
+    force = 4.0 / 3.0 * modulus * np.sqrt(2.5e-3) * 1e-4**1.5
+    ends = []
+    for looks in (True, False):
+        with gf.Simulation(overlapping_pair()) as simulation:
+            if looks:
+                snapshot = simulation.snapshot(contacts=True)
+                assert simulation.time == 0.0 and snapshot.totals["contact_count"] == 1
+                assert snapshot.contacts["overlap"] == pytest.approx([1e-4], rel=1e-9)
+                assert snapshot.contacts["normal_force"] == pytest.approx([force], rel=1e-6)
+                assert snapshot.totals["elastic_energy"] == pytest.approx(0.4 * force * 1e-4, rel=1e-6)
+                np.testing.assert_allclose(simulation.particles.force[:, 0], [-force, force], rtol=1e-6)
+                np.testing.assert_allclose(simulation.particles.velocity, 0.0, atol=1e-15)
+            simulation.run()
+            ends.append(simulation.snapshot())
+    np.testing.assert_array_equal(ends[0].particles["position"], ends[1].particles["position"])
+    np.testing.assert_array_equal(ends[0].particles["velocity"], ends[1].particles["velocity"])
+    assert ends[0].totals == ends[1].totals
