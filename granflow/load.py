@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from itertools import count
+from pathlib import Path, PurePath
 from typing import Any, get_args
 
 from granflow.arguments import items_of, path_of, refuse_other, shown
@@ -17,11 +19,19 @@ from granflow.scene.mapping import document_of
 from granflow.scene.reader import document_in, scene_in
 from granflow.scene.schema.fields import Model
 from granflow.scene.schema.insertion import FileInsertion
+from granflow.scene.schema.motions import TableMotion
+from granflow.scene.schema.particles import Group
 from granflow.scene.schema.run import Precision
 from granflow.scene.schema.scene import SceneInput
-from granflow.scene.schema.walls import MeshWall
+from granflow.scene.schema.walls import MeshWall, Wall
 from granflow.scene.yaml12 import parse
 from granflow.visible_text import html_table, numbered, visible_line
+
+COPIES = "inputs"
+"""Folder in the output directory with the copies of input files that are not below the folder of the scene."""
+
+RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
+"""Names of result files, which the run writes itself: copies of input files with such a name are in COPIES."""
 
 
 class FrozenDict(dict[str, Any]):
@@ -201,6 +211,67 @@ class Scene(SceneInput):
         if precision not in get_args(Precision):
             raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
         return self.model_copy(update={"run": self.run.model_copy(update={"precision": precision})})
+
+
+def copied_scene(scene: Scene, taken: dict[str, Path] | None = None) -> Scene:
+    """The scene for its output directory, in which each input file has the path of its copy.
+
+    A path below the folder of the scene remains. Other files are copied to COPIES under their name, with a number if
+    another file has it. `taken`: files by the path of their copy, in lowercase; extended, for several scenes with one
+    output directory. The scene of an output directory is returned unchanged. Raises OSError for a path that cannot be
+    followed.
+    """
+    taken = {} if taken is None else taken
+    names = dict.fromkeys(name for _, name in scene.input_names())
+    copies = {}
+    for name in sorted(names, key=lambda name: not _stays(name)):
+        wanted = PurePath(name) if _stays(name) else PurePath(COPIES, PurePath(name).name)
+        copies[name] = _free(wanted, resolved(scene.folder / name), taken)
+    if all(name == copy for name, copy in copies.items()):
+        return scene
+    walls = {name: _wall_with(wall, copies) for name, wall in scene.walls.items()}
+    particles = {name: _group_with(group, copies) for name, group in scene.particles.items()}
+    return scene.model_copy(update={"walls": walls, "particles": particles})
+
+
+def _stays(name: str) -> bool:
+    """Whether the copy of an input file has the same path in the output directory."""
+    path = PurePath(name)
+    return not path.is_absolute() and not path.drive and ".." not in path.parts and not RESULTS.fullmatch(name)
+
+
+def _free(wanted: PurePath, source: Path, taken: dict[str, Path]) -> str:
+    """The wanted path, with the first number if needed at which no other file has it; added to `taken`."""
+    for number in count(1):
+        path = wanted if number == 1 else wanted.with_name(f"{wanted.stem}_{number}{wanted.suffix}")
+        # Some file systems do not distinguish upper and lower case.
+        if taken.setdefault(path.as_posix().lower(), source) == source:
+            return path.as_posix()
+    raise AssertionError("count() has no end")
+
+
+def _wall_with(wall: Wall, copies: Mapping[str, str]) -> Wall:
+    """A wall with the paths of the copies of its mesh and its tables."""
+    changes: dict[str, Any] = {"file": copies[wall.file]} if isinstance(wall, MeshWall) else {}
+    if any(_table(motion) in copies for motion in wall.motion):
+        changes["motion"] = tuple(
+            motion.model_copy(update={"file": copies[name]}) if (name := _table(motion)) is not None else motion
+            for motion in wall.motion
+        )
+    return wall.model_copy(update=changes)
+
+
+def _table(motion: object) -> str | None:
+    """Path of the table of a motion; None without one."""
+    return motion.file if isinstance(motion, TableMotion) else None
+
+
+def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
+    """A group with the path of the copy of its particle file."""
+    if not isinstance(group.insert, FileInsertion):
+        return group
+    insertion = group.insert.model_copy(update={"file": copies[group.insert.file]})
+    return group.model_copy(update={"insert": insertion})
 
 
 def identity_of(scene: Scene) -> str:

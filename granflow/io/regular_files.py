@@ -91,10 +91,3 @@ def resolved(path: Path) -> Path:
         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path)) from None
     except ValueError as error:  # a NUL in the name
         raise OSError(errno.EINVAL, str(error), str(path)) from None
-
-
-def path_below(folder: Path, name: str) -> Path | None:
-    """Path of a file in a folder, without symbolic links; None if it leads out of the folder. Raises OSError."""
-    base = resolved(folder)
-    path = resolved(base / name)
-    return path if path.is_relative_to(base) else None

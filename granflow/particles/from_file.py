@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from granflow.errors import SceneError
-from granflow.io.regular_files import path_below
+from granflow.io.regular_files import resolved
 from granflow.particles.group import SceneGroup
 from granflow.particles.particle_data import ParticleData, particles_of
 from granflow.particles.table import ParticleTable, read_particles
@@ -16,22 +16,22 @@ from granflow.scene.schema.insertion import FileInsertion
 def table_of(group: SceneGroup) -> ParticleTable:
     """All rows of the file of a group.
 
-    Raises ValueError for a group without a file, and SceneError if the file cannot be read, is invalid, or lies outside
-    the folder of the scene, also by a symbolic link.
+    Raises ValueError for a group without a file, and SceneError if the file cannot be read or is invalid.
     """
     insertion = group.spec.insert
     if not isinstance(insertion, FileInsertion):
         raise ValueError(f"{group.name} is not read from a file.")
     try:
-        path = path_below(group.folder, insertion.file)
+        path = resolved(group.folder / insertion.file)
     except OSError as error:
         raise SceneError(f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
     location = group.locate("insert", "file")
-    if path is None:
-        raise SceneError(f"{location}: {insertion.file} leads out of the scene's folder; put the file itself there.")
     if not path.exists():
         key = f"particles.{group.name}.insert.file"
-        raise SceneError(f"{location}: {key} is {insertion.file}, but the scene's folder has no such file.")
+        raise SceneError(
+            f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the folder of "
+            "the scene."
+        )
     return read_particles(group.folder / insertion.file)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from granflow.errors import FileError, SceneError
-from granflow.io.regular_files import FormatError, path_below
+from granflow.io.regular_files import FormatError, resolved
 from granflow.io.tables import Table, read_table
 from granflow.particles.table import UNIT, unit_factor
 from granflow.scene.schema.motions import MOST_ROWS, TABLE_COLUMNS, TableMotion
@@ -57,11 +57,9 @@ def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
 
     Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
     """
-    path = path_below(folder, str(motion.file))
-    if path is None:
-        raise FormatError("it leads out of the scene's folder; put the file itself there")
+    path = resolved(folder / str(motion.file))
     if not path.exists():
-        raise FormatError("the scene's folder has no such file")
+        raise FormatError("there is no such file; its path is relative to the folder of the scene")
     table, source = read_table(path), folder / str(motion.file)
     if table is None or not table.rows:
         raise FileError([f"{source}: the table has no rows; give a header such as time [s], displacement [m]."])

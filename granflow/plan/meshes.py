@@ -12,7 +12,7 @@ from granflow.geometry.mesh.file import read_triangles
 from granflow.geometry.mesh.mesh import Mesh, mesh_of
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import unit
-from granflow.io.regular_files import FormatError, path_below
+from granflow.io.regular_files import FormatError, resolved
 from granflow.load import Scene
 from granflow.plan.size_classes import diameter_range
 from granflow.scene.schema.domain import Domain
@@ -65,16 +65,12 @@ def meshes_of(scene: Scene) -> dict[str, Mesh]:
 def mesh_path(scene: Scene, wall: MeshWall) -> Path:
     """Path of a mesh file, with symbolic links resolved.
 
-    Raises FormatError if it is outside the folder of the scene, also by a symbolic link, or if the folder cannot be
-    read.
+    Raises FormatError if the path cannot be followed, such as a circular link.
     """
     try:
-        path = path_below(scene.folder, wall.file)
+        return resolved(scene.folder / wall.file)
     except OSError as error:
         raise FormatError(f"cannot be read: {error.strerror}") from None
-    if path is None:
-        raise FormatError("leads out of the scene's folder by a symbolic link; put the file itself there")
-    return path
 
 
 def _mesh(scene: Scene, wall: MeshWall) -> Mesh:

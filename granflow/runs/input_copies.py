@@ -1,6 +1,5 @@
 """Copies the input files of a scene to the output directory, so that a run can be continued on any machine."""
 
-import re
 import shutil
 from collections.abc import Iterable, Iterator
 from filecmp import cmp
@@ -9,12 +8,6 @@ from pathlib import Path
 from granflow.io.atomic_files import replacing
 from granflow.io.regular_files import resolved
 from granflow.load import Scene
-from granflow.plan.meshes import mesh_path
-from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.walls import MeshWall
-
-RESULTS = re.compile(r"(particles|contacts|walls)_\d+(\.\d+)?\.vtu|timeseries\.csv")
-"""Names of result files: a particle file with such a name is not copied, because the run writes its own."""
 
 
 def copy_inputs(directory: Path, inputs: Iterable[tuple[Path, str]]) -> None:
@@ -43,19 +36,12 @@ def input_files(scene: Scene) -> Iterator[tuple[str, Path]]:
     return ((key, scene.folder / name) for key, name in scene.input_names())
 
 
-def inputs_of(scene: Scene) -> Iterator[tuple[Path, str]]:
-    """Yield the absolute paths of the input files and their names in the scene.
+def inputs_of(scene: Scene, copied: Scene) -> Iterator[tuple[Path, str]]:
+    """Yield the absolute paths of the input files of a scene, and those of their copies in `copied_scene`.
 
-    Tables that a continued run no longer has are left out.
+    Files that a continued run no longer has are left out.
     """
-    for wall in scene.walls.values():
-        if isinstance(wall, MeshWall):
-            yield mesh_path(scene, wall), wall.file
-        for name in (motion.file for motion in wall.motion if motion.kind == "table"):
-            if name is not None and resolved(scene.folder / name).exists():
-                yield resolved(scene.folder / name), name
-    for insertion in (group.insert for group in scene.particles.values()):
-        if isinstance(insertion, FileInsertion) and not RESULTS.fullmatch(insertion.file):
-            path = resolved(scene.folder / insertion.file)
-            if path.exists():
-                yield path, insertion.file
+    for (_, name), (_, copy) in zip(scene.input_names(), copied.input_names(), strict=True):
+        source = resolved(scene.folder / name)
+        if source.exists():
+            yield source, copy

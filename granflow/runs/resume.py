@@ -13,7 +13,7 @@ from granflow.errors import GranflowError
 from granflow.geometry.motion import Motion, pose
 from granflow.io.checkpoint import Checkpoint, CheckpointError, engine_digest
 from granflow.io.log import version_of
-from granflow.load import Scene, scene_of
+from granflow.load import Scene, copied_scene, scene_of
 from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.plan.plan import Plan
 from granflow.plan.walls import StageTimes, planned_motions, wall_motions
@@ -102,7 +102,7 @@ def accepted_change(checkpoint: Checkpoint, scene: Scene, plan: Plan, allow_chan
             f"{other_engine} Resume with that version, or continue despite the difference with --allow-changes."
         )
     # Both scenes are read from text, so that only differences of the text count.
-    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, scene.to_yaml()))
+    before, now = (scene_of(text, str(checkpoint.path)) for text in (checkpoint.scene, copied_scene(scene).to_yaml()))
     try:
         check_run(checkpoint, before, plan_fingerprint(plan))
     except CheckpointError as error:

@@ -17,7 +17,7 @@ from granflow.io.background_writer import BackgroundWriter
 from granflow.io.checkpoint import Checkpoint, remove_after
 from granflow.io.lock import DirectoryLock, LostFiles, refuse_second_run, writing
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
-from granflow.load import Scene
+from granflow.load import Scene, copied_scene
 from granflow.observers.base import Checkpointable
 from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs, inputs_of
@@ -54,11 +54,13 @@ class RunDirectory:
         self._lock: DirectoryLock | None = None
         self._rescued = False
         self._scene, self._resumed = scene, resumed
+        self._copied_scene = scene
         self._inputs: list[tuple[Path, str]] = []
         self._checkpoints: CheckpointWriter | None = None
         if self.path is not None:
             refuse_second_run(self.path)
-            self._checkpoints = CheckpointWriter(self.path, scene.output.checkpoint, scene.to_yaml())
+            self._copied_scene = copied_scene(scene)
+            self._checkpoints = CheckpointWriter(self.path, scene.output.checkpoint, self._copied_scene.to_yaml())
         self._delete_previous: Callable[[], None] = lambda: None
         self._log = logging.getLogger("granflow")
         self._warnings: list[str] = []
@@ -86,7 +88,7 @@ class RunDirectory:
         """Create the directory, and find the input files while the working directory is that of the start."""
         if self.path is not None:
             self.path.mkdir(parents=True, exist_ok=True)
-            self._inputs = list(inputs_of(self._scene))
+            self._inputs = list(inputs_of(self._scene, self._copied_scene))
 
     @contextmanager
     def open(self, observers: Iterable[Checkpointable]) -> Iterator[None]:
@@ -139,7 +141,7 @@ class RunDirectory:
         remove_parts(path)
         remove_after(path, self._resumed.path if self._resumed else None)
         copy_inputs(path, self._inputs)
-        write_scene_as_run(path, self._scene)
+        write_scene_as_run(path, self._copied_scene)
         if self._resumed is not None:
             (path / "result.json").unlink(missing_ok=True)
             for observer in observers:
@@ -284,7 +286,7 @@ class RunDirectory:
             if moved is None:
                 target.mkdir(parents=True)
                 copy_inputs(target, self._inputs)
-                write_scene_as_run(target, self._scene)
+                write_scene_as_run(target, self._copied_scene)
             save_kept(last)
         except (OSError, GranflowError) as error:
             return f"No checkpoint can be written to {name}: {error}."

@@ -53,12 +53,10 @@ def mesh(name: str, text: str, file: str, content, *patterns: str, **more) -> Ca
     return Case("meshes", f"mesh_{name}", text, (command,), patterns=patterns, **({"prepare": prepare} | more))
 
 
-def link_outside(sandbox):
-    """Writes a symbolic link in the directory of the scene to a file outside of it."""
+def dangling_link(sandbox):
+    """Writes a symbolic link in the directory of the scene to a file that does not exist."""
     sandbox.write("beads.yaml", FROM_TABLE.replace("FILE", "beads.csv"))
-    outside = sandbox.home.parent / "secret.csv"
-    outside.write_text(ROWS)
-    sandbox.path("beads.csv").symlink_to(outside)
+    sandbox.path("beads.csv").symlink_to("none.csv")
 
 
 def loop(file: str, text: str):
@@ -143,17 +141,17 @@ def tables() -> list[Case]:
         ),
         table(
             "above",
-            "a path outside the directory of the scene",
+            "a missing file outside the directory of the scene",
             "",
-            "folder of the scene",
-            prepare=lambda s: s.write("beads.yaml", FROM_TABLE.replace("FILE", "../../etc/passwd")),
+            "no such file",
+            prepare=lambda s: s.write("beads.yaml", FROM_TABLE.replace("FILE", "../none.csv")),
         ),
         table(
-            "link_out",
-            "a symbolic link to a file outside the scene's directory",
+            "link_dangling",
+            "a symbolic link to a file that does not exist",
             "",
-            "out of the scene",
-            prepare=link_outside,
+            "no such file",
+            prepare=dangling_link,
         ),
         table("link_loop", "a loop of symbolic links", "", "beads.csv", prepare=loop("beads.csv", FROM_TABLE)),
         table(

@@ -81,7 +81,7 @@ def test_a_csv_file_is_read_with_its_units(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (None, r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: .* has no such file"),
+        (None, r"scene.yaml:\d+:\d+: walls.floor.motion.file is lift.csv, which cannot be used: there is no such file"),
         ("", "lift.csv: the table has no rows"),
         ("time, displacment\n0, 1\n1, 2\n", "lift.csv:1: the columns are .*mean displacement instead of displacment"),
         ("time, velocity, angle\n0, 1, 2\n", "lift.csv:1: the columns are time, velocity, angle, but time and exactly"),
@@ -98,16 +98,6 @@ def test_invalid_files_are_refused_with_their_line(tmp_path, text, problem):
     if text is None:
         (tmp_path / "lift.csv").unlink()
     with pytest.raises(SceneError, match=problem):
-        load(path)
-
-
-def test_a_file_outside_the_folder_is_refused(tmp_path):
-    inside = tmp_path / "inside"
-    inside.mkdir()
-    path = saved_scene(inside)
-    (inside / "lift.csv").rename(tmp_path / "lift.csv")
-    (inside / "lift.csv").symlink_to(tmp_path / "lift.csv")
-    with pytest.raises(SceneError, match="leads out of the scene's folder"):
         load(path)
 
 

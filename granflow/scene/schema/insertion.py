@@ -7,9 +7,9 @@ from pydantic import Field
 
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, redundant, whole
-from granflow.scene.schema.fields import ListOf, Model, choose_by_first_key, choose_by_key
+from granflow.scene.schema.fields import FileName, ListOf, Model, choose_by_first_key, choose_by_key
 from granflow.scene.schema.numbers import Number
-from granflow.scene.schema.shapes import Box, CylinderShape, FileBelow, Rectangular
+from granflow.scene.schema.shapes import Box, CylinderShape, Rectangular
 
 Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
 """Random displacement over the free gap: 0 to 1."""
@@ -187,7 +187,7 @@ class FileInsertion(Model):
     """
 
     kind: Literal["file"] = Field("file", description="kind of insertion")
-    file: FileBelow = Field(description="CSV, text or VTU file; path relative to the folder of the scene, without ..")
+    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
     found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
 
 

@@ -9,9 +9,8 @@ from pydantic import Field
 
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, missing, redundant, whole
-from granflow.scene.schema.fields import ListOf, Model, Names, choose_by_key
+from granflow.scene.schema.fields import FileName, ListOf, Model, Names, choose_by_key
 from granflow.scene.schema.numbers import Number
-from granflow.scene.schema.shapes import FileBelow
 
 _T = TypeVar("_T")
 _Column = Annotated[tuple[_T, ...], ListOf(some="[0, 0.1, 0.2]")]
@@ -189,10 +188,10 @@ class TableMotion(TimedMotion):
     """
 
     kind: Literal["table"] = Field("table", description="kind of motion")
-    file: FileBelow | None = Field(
+    file: FileName | None = Field(
         None,
         description="CSV file with the columns time and displacement, velocity, angle or angular_velocity, such as "
-        "time [ms], displacement [mm]; path relative to the folder of the scene, without ..",
+        "time [ms], displacement [mm]; path relative to the folder of the scene",
     )
     direction: q.Direction | None = Field(None, description="direction of displacements or velocities")
     point: q.Point | None = Field(None, description="with angles: a point on the axis [m]")

@@ -1,30 +1,14 @@
-"""Shapes that several blocks of a scene share: box, cylinder, sides of a rectangle; file names within the folder."""
+"""Shapes that several blocks of a scene share: box, cylinder, sides of a rectangle."""
 
 import math
 from collections.abc import Iterator
-from pathlib import PurePath
-from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from granflow.geometry.shape import are_perpendicular
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault
-from granflow.scene.schema.fields import FileName, Model, require
-
-
-def _is_below_folder(name: str) -> bool:
-    path = PurePath(name)
-    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts
-
-
-FileBelow = Annotated[
-    FileName,
-    AfterValidator(
-        require(_is_below_folder, "the file must be in the folder of the scene or below it; give a relative path")
-    ),
-]
-"""Path of a file in the folder of the scene or below it."""
+from granflow.scene.schema.fields import Model
 
 
 class Box(Model):

@@ -7,10 +7,10 @@ from pydantic import Field
 
 from granflow.scene.schema import quantities as q
 from granflow.scene.schema.faults import Fault, redundant, whole
-from granflow.scene.schema.fields import Flag, ListOf, Model, Names, Text, choose_by_key
+from granflow.scene.schema.fields import FileName, Flag, ListOf, Model, Names, Text, choose_by_key
 from granflow.scene.schema.motions import MotionSpec
 from granflow.scene.schema.numbers import Number, value_error
-from granflow.scene.schema.shapes import Axial, FileBelow, Rectangular
+from granflow.scene.schema.shapes import Axial, Rectangular
 
 MeshScale = Annotated[float, Number(above=0, scaling=1)]
 """Factor from the length unit of a mesh file to m, above 0; proportional to `scale`."""
@@ -144,9 +144,7 @@ class MeshWall(Wall):
     """
 
     shape: Literal["mesh"] = Field("mesh", description="shape of the wall")
-    file: FileBelow = Field(
-        description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene, without .."
-    )
+    file: FileName = Field(description="STL, OBJ, PLY, VTK or VTU file; path relative to the folder of the scene")
     scale: MeshScale = Field(1.0, description="factor from the length unit of the file to m, such as 0.001 for mm")
     rotate: Annotated[tuple[RotationStep, ...], ListOf(one=True)] = Field(
         (), description="rotation of the mesh about the origin: one rotation, or a list in order of application"

@@ -13,6 +13,7 @@ import numpy as np
 from granflow import Scene, load_scene
 from granflow.io.atomic_files import replacing, write_text
 from granflow.io.tables import write_table
+from granflow.load import copied_scene
 from granflow.studies.calibration.identification import Effects, identification
 from granflow.studies.calibration.response import fewest_trials
 from granflow.studies.calibration.schema import CalibrationInput, Parameter
@@ -195,22 +196,24 @@ def write_best_scenes(
     out: Path, calibration: CalibrationInput, scenes: Mapping[str, Path], values: Mapping[str, float]
 ) -> list[Path]:
     """Write each scene with the best values, ready to run: `best.yaml`, or `best_NAME.yaml` of several scenes."""
-    written = []
+    written, taken = [], dict[str, Path]()
     for name, path in scenes.items():
         scene = load_scene(path, overrides_of(settings_of(calibration, name, values)))
+        copied = copied_scene(scene, taken)
         target = out / ("best.yaml" if len(scenes) == 1 else f"best_{name}.yaml")
-        write_text(target, scene.to_yaml())
-        _copy_inputs(scene, out)
+        write_text(target, copied.to_yaml())
+        _copy_inputs(scene, copied, out)
         written.append(target)
     return written
 
 
-def _copy_inputs(scene: Scene, out: Path) -> None:
-    """Copy the input files of a scene to the directory, to the paths that the scene contains."""
-    for name in (name for _, name in scene.input_names() if (scene.folder / name).exists()):
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        if (out / name).resolve() != (scene.folder / name).resolve():
-            shutil.copyfile(scene.folder / name, out / name)
+def _copy_inputs(scene: Scene, copied: Scene, out: Path) -> None:
+    """Copy the input files of a scene to the directory, to the paths that `copied` contains."""
+    for (_, name), (_, copy) in zip(scene.input_names(), copied.input_names(), strict=True):
+        source, target = (scene.folder / name).resolve(), out / copy
+        if source.exists() and target.resolve() != source:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
 
 
 def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:

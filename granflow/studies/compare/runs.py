@@ -28,6 +28,7 @@ from granflow import (
 from granflow.contact import theory
 from granflow.io.atomic_files import replacing
 from granflow.io.regular_files import file_digest
+from granflow.load import copied_scene
 from granflow.studies.compare.bed_statistics import FORCE_EDGES, BedHeights, ContactBursts, ForceHistogram
 from granflow.studies.compare.contact_durations import FollowedContacts, bursts, median_of, survival
 from granflow.studies.compare.variants import LawVariant, automatic_plan
@@ -192,7 +193,11 @@ def has_begun(variant: LawVariant, out: Path, identity: str) -> bool:
         scene = (out / "scene_as_run.yaml").read_text(encoding="utf-8")
     except OSError:
         scene = ""
-    return found is not None and found[0] == {"identity": identity} and scene in ("", variant.scene.to_yaml())
+    return (
+        found is not None
+        and found[0] == {"identity": identity}
+        and scene in ("", copied_scene(variant.scene).to_yaml())
+    )
 
 
 def kept_run(variant: LawVariant, out: Path, identity: str) -> VariantRun | None:

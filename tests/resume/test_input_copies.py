@@ -1,0 +1,75 @@
+"""Input files from anywhere: a run keeps copies of them, from which it continues on another machine."""
+
+import shutil
+
+from geometry.meshes import cube, write
+from plan.scenes import TEXT
+from resume.runs import files_of
+
+from granflow.cli.main import main
+from granflow.load import copied_scene, load
+
+INSERT = TEXT[TEXT.index("    count: 10\n") : TEXT.index("\ndomain:")]
+FLOOR = "  floor: {shape: plane, point: [0, 0, 0], normal: [0, 0, 1], material: glass}"
+WALLS = """\
+  first: {shape: mesh, file: ../parts/box.stl, scale: 0.02, translate: [0, 0, -0.02], material: glass}
+  second: {shape: mesh, file: box.stl, scale: 0.02, translate: [0.02, 0, -0.02], material: glass}
+  third: {shape: mesh, file: OTHER/box.stl, scale: 0.02, translate: [0, 0.02, -0.02], material: glass}
+  lid:
+    {shape: plane, point: [0, 0, 0.03], normal: [0, 0, -1], material: glass,
+     motion: {kind: table, file: ../tables/lift.csv, direction: [0, 0, 1]}}"""
+ROWS = "x,y,z,r\n" + "".join(
+    f"{0.005 + 0.01 * k},{0.004 + 0.01 * j},0.0025,0.002\n" for k in range(2) for j in range(2)
+)
+
+
+def scene_with_inputs(folder):
+    """A scene with three meshes of equal name, a table and particles, of which only a link is in its own folder."""
+    for name in ("scenes", "parts", "tables", "other", "filled"):
+        (folder / name).mkdir(parents=True)
+    for k, name in enumerate(("parts/box.stl", "parts/linked.stl", "other/box.stl")):
+        points, corners = cube()
+        write(folder / name, points * [1.0, 1.0, 1.0 + 0.01 * k], corners)
+    (folder / "scenes" / "box.stl").symlink_to(folder / "parts" / "linked.stl")
+    (folder / "tables" / "lift.csv").write_text("time [ms],displacement [mm]\n0,0\n20,-1\n")
+    (folder / "filled" / "beads.csv").write_text(ROWS)
+    text = TEXT.replace(INSERT, "    insert: {kind: file, file: ../filled/beads.csv}").replace(FLOOR, WALLS)
+    text = text.replace("OTHER", str(folder / "other")).replace("duration: 50 ms", "duration: 4 ms")
+    path = folder / "scenes" / "beads.yaml"
+    path.write_text(text.replace("interval: 10 ms", "interval: 1 ms"))
+    return path
+
+
+def test_run_continues_from_copies_of_input_files_outside_the_scene_folder(tmp_path):
+    scene = scene_with_inputs(tmp_path / "here")
+    whole, out = tmp_path / "whole", tmp_path / "here" / "out"
+    assert main(["run", str(scene), "--out", str(whole)]) == 0
+    assert main(["run", str(scene), "--out", str(out), "--until", "2 ms"]) == 0
+    meshes = {path.name: path.read_bytes() for path in (tmp_path / "here").glob("*/*.stl")}
+    assert (out / "box.stl").read_bytes() == meshes["linked.stl"] and not (out / "box.stl").is_symlink()
+    there = tmp_path / "there"
+    shutil.move(out, there)
+    shutil.rmtree(tmp_path / "here")
+    written = load(there / "scene_as_run.yaml")
+    names = [name for _, name in written.input_names()]
+    assert names == ["inputs/box.stl", "box.stl", "inputs/box_2.stl", "inputs/lift.csv", "inputs/beads.csv"]
+    assert copied_scene(written) is written
+    assert main(["resume", str(there)]) == 0
+    assert files_of(there) == files_of(whole)
+
+
+def test_copies_of_results_of_another_run_keep_clear_of_those_of_the_run(tmp_path):
+    path = tmp_path / "beads.yaml"
+    first = tmp_path / "filled"
+    path.write_text(TEXT.replace("duration: 50 ms", "duration: 1 ms"))
+    assert main(["run", str(path), "--out", str(first)]) == 0
+    frame = first / "particles_0001.vtu"
+    next_scene = tmp_path / "next.yaml"
+    next_scene.write_text(
+        path.read_text().replace(INSERT, "    insert: {kind: file, file: filled/../particles_0001.vtu}")
+    )
+    (tmp_path / "particles_0001.vtu").symlink_to(frame)
+    for given in ("particles_0001.vtu", "filled/../particles_0001.vtu", str(frame)):
+        scene = load(next_scene, [f"particles.beads.insert.file={given}"])
+        assert [name for _, name in copied_scene(scene).input_names()] == ["inputs/particles_0001.vtu"]
+        assert scene.particles["beads"].count == 10
