@@ -1,10 +1,12 @@
 """`granflow collide` with every contact model of the catalog, and unsupported input."""
 
+import numpy as np
 import pytest
 
 from granflow.contact.registry import models
 from granflow.errors import GranflowError
 from granflow.studies.collide import collide
+from granflow.studies.collision_bench import CollisionBench
 
 STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
 
@@ -42,3 +44,21 @@ def test_dashpot_of_a_collision_that_begins_with_touching_surfaces_acts_from_the
 def test_unsupported_input_of_a_contact_model_is_rejected(taichi_f64, law, given, sentence):
     with pytest.raises(GranflowError, match=sentence):
         collide(law, **(STEEL | given))
+
+
+def test_rounding_of_a_dashpot_that_cancels_the_elastic_force_does_not_prolong_a_collision(taichi_f64, monkeypatch):
+    """A GPU in float32 leaves residues of some ulps where a CPU has exactly 0: 2^-24 of the elastic force."""
+    arguments = {"law": "linear", "material": "stainless_316", "diameter": 4e-3, "velocity": 0.5, "restitution": 0.5}
+    exact = collide(**arguments)
+    run = CollisionBench.run
+
+    def with_residues(bench, every=1):
+        samples = run(bench, every)
+        force = samples[:, 2, 0]
+        end = int(np.flatnonzero(force)[-1]) + 1
+        residues = np.repeat(samples[end : end + 1], 30, axis=0)
+        residues[:, 2, 0] = 2.0**-24 * np.abs(force).max()
+        return np.concatenate([samples[:end], residues, samples[end:]])
+
+    monkeypatch.setattr(CollisionBench, "run", with_residues)
+    assert collide(**arguments)["duration"] == exact["duration"]

@@ -23,6 +23,8 @@ EPS["f32"] = EPS["mixed"]
 SPREAD = 6.0
 """Accepted deviation due to rounding, in standard deviations."""
 TRAJECTORY_STEPS = 1000
+FASTEST = 0.5
+"""Largest initial speed [m/s] of the colliding particles: two of them approach at the planned 1 m/s at most."""
 PARTICLE_COUNT = (256, 60)
 """Particles of the vibrated box: those in the box, and those that rain in upward and leave the domain."""
 
@@ -85,10 +87,14 @@ def _colliding_particles(bed_file: str, precision: str) -> Any:
     center = case.position.mean(axis=0)
     selected = np.argsort(np.linalg.norm(case.position - center, axis=1))[:1000]
     position = case.position[selected] - center
+    velocity = rng.normal(0.0, 0.3, position.shape)
+    velocity *= np.minimum(1.0, FASTEST / np.linalg.norm(velocity, axis=1, keepdims=True))
     return _scene(
-        {"balls": _particle_group(position, case.diameter[selected], rng.normal(0.0, 0.3, position.shape))},
-        walls={}, gravity=[0.0, 0.0, 0.0], run={"duration": 0.005, "velocity_max": 1.0, "precision": precision},
-    )  # fmt: skip
+        {"balls": _particle_group(position, case.diameter[selected], velocity)},
+        walls={},
+        gravity=[0.0, 0.0, 0.0],
+        run={"duration": 0.005, "velocity_max": 2.0 * FASTEST, "precision": precision},
+    )
 
 
 def _particle_group(position: np.ndarray, diameter: Any, velocity: np.ndarray) -> dict[str, Any]:
