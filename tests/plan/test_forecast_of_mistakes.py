@@ -178,3 +178,81 @@ def test_rain_without_motion_is_limited_by_its_region(tmp_path, count, gravity, 
 def test_rain_of_few_particles_fits_into_its_region_at_once(tmp_path):
     rain = f"{{kind: rain, rate: 1e5 1/s, region: {BOX % (20, 20)}}}"
     assert not queue_warnings(flow_scene(tmp_path, rain, count=20))
+
+
+DISC_DOWN = "{disc: {center: [1 cm, 1 cm, 2.5 cm], normal: [0, 0, -2], radius: 15 mm}}"
+RECTANGLE_DOWN = "{rectangle: {corner: [-5 mm, -5 mm, 2.5 cm], sides: [[0, 3 cm, 0], [3 cm, 0, 0]]}}"
+DISC_UP = "{disc: {center: [1 cm, 1 cm, 0], normal: [0, 0, 1], radius: 15 mm}}"
+DISC_ACROSS = "{disc: {center: [0, 1 cm, 1 cm], normal: [1, 0, 0], radius: 8 mm}}"
+
+
+@pytest.mark.parametrize(
+    ("face", "velocity", "gravity", "fault", "proposed"),
+    [
+        (DISC_DOWN, "[0, 0, 0.3]", -9.81, "is [0, 0, 0.3] m/s, but particles enter through", "[0, 0, -0.3]"),
+        (RECTANGLE_DOWN, "[0.1, 0, 0.3]", -9.81, "points against it", "[0.1, 0, -0.3]"),
+        (DISC_UP, "[0, 0, 0]", -9.81, "gravity moves them backward", "[0, 0, "),
+        (DISC_UP, "[0.3, 0, 0]", -9.81, "gravity moves them backward", "[0.3, 0, "),
+        (DISC_ACROSS, "[0, 0, -0.3]", -9.81, "do not leave the face", ", 0, -0.3]"),
+        (DISC_DOWN, "[0, 0, 0]", 0.0, "do not leave the face", "[0, 0, -"),
+        (DISC_DOWN, "[0, 0, 0]", -9.81, None, None),
+        (DISC_DOWN, "[0.3, 0, 0]", -9.81, None, None),
+        (DISC_DOWN, "[0.3, 0, -0.01]", 0.0, None, None),
+        (DISC_UP, "[0, 0, 0.3]", -9.81, None, None),
+        (DISC_ACROSS, "[0, 0, 0]", -9.81, None, None),
+    ],
+)
+def test_inlet_that_particles_leave_backward_or_not_at_all_is_reported(
+    tmp_path, face, velocity, gravity, fault, proposed
+):
+    """The velocity decides, and gravity for a velocity parallel to the face; the proposed velocity has no warning."""
+
+    def direction_warnings(velocity):
+        insertion = f"{{kind: inlet, rate: 100 1/s, face: {face}}}"
+        jet = f"{{material: glass, count: 20, diameter: 4 mm, velocity: {velocity}, insert: {insertion}}}"
+        scene = scene_of(tmp_path, f"particles.jet={jet}", f"gravity=[0, 0, {gravity}]", "run.duration=1")
+        return [each for each in warnings_of(scene) if "particles.jet" in each]
+
+    found = direction_warnings(velocity)
+    if fault is None:
+        assert not [each for each in found if "face of the inlet" in each]
+        return
+    (warning,) = found
+    assert warning.startswith("particles.jet.velocity (--set particles.jet=")
+    assert fault in warning and proposed in warning
+    valid = warning.split("such as ")[1].split(" m/s")[0]
+    assert direction_warnings(valid) == []
+
+
+@pytest.mark.parametrize(
+    ("last", "fault"),
+    [
+        ("{position: [2 mm, 1e-13, 0], radius: 2 mm}", "the same sphere as spheres.1: its contacts count twice"),
+        ("{position: [6.5 mm, 0, 0], radius: 2 mm}", "0.0005 m away from the surface of spheres.1"),
+        ("{position: [2 mm, 0, 0], radius: 1.9 mm}", None),
+        ("{position: [6 mm, 0, 0], radius: 2 mm}", None),
+    ],
+    ids=["coincident", "disjoint", "concentric", "touching"],
+)
+def test_clumps_with_a_sphere_twice_or_a_gap_are_reported(tmp_path, last, fault):
+    def clump_warnings(last):
+        lines = ["{position: [0, 0, 0], radius: 2 mm}", "{position: [2 mm, 0, 0], radius: 2 mm}", last]
+        spheres = "".join(f"        - {line}\n" for line in lines)
+        text = TEXT.replace("    diameter: 4 mm\n", f"    clump:\n      spheres:\n{spheres}").replace(
+            "count: 10", "count: 1"
+        )
+
+        return [each for each in warnings_of(scene_of(tmp_path, text=text)) if ".clump." in each]
+
+    found = clump_warnings(last)
+    if fault is None:
+        assert found == []
+        return
+    (warning,) = found
+    line = TEXT[: TEXT.index("    diameter: 4 mm\n")].count("\n") + 5
+    assert (
+        warning.startswith("particles.beads.clump.spheres.2.position (") and f"beads.yaml:{line}) is [0.00" in warning
+    )
+    assert fault in warning
+    valid = warning.split("such as ")[1].split(" m")[0]
+    assert clump_warnings(f"{{position: {valid}, radius: 2 mm}}") == []

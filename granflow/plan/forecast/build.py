@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from granflow.load import Scene
+from granflow.plan.forecast.clumps import clump_warnings
 from granflow.plan.forecast.drop import forecast_velocity, path_velocity, velocity_warnings
 from granflow.plan.forecast.files import file_warnings
 from granflow.plan.forecast.forecast import Forecast
@@ -41,6 +42,7 @@ def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
     for sentence in (
         *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
         *size_warnings(scene),
+        *clump_warnings(scene),
         *wall_warnings(scene, plan.walls, times),
         *coincidence_warnings(scene, plan.walls),
         *region_warnings(scene, plan, times),

@@ -1,4 +1,4 @@
-"""Forecasts of insertions that the run is too short for, and of inlets and regions too small for their rate."""
+"""Forecasts of insertions: runs that are too short, rates too high for a face or region, inlets turned backward."""
 
 from collections.abc import Iterator
 from math import ceil, pi, sqrt
@@ -13,7 +13,7 @@ from granflow.plan.forecast.pressures import mean_volume
 from granflow.plan.plan import Plan
 from granflow.plan.size_classes import outer_diameter_range
 from granflow.plan.walls import StageTimes
-from granflow.scene.schema.insertion import InletInsertion, RainInsertion
+from granflow.scene.schema.insertion import DiscFace, InletInsertion, RainInsertion
 from granflow.scene.schema.particles import Group
 
 DENSEST_FLOW = 0.45
@@ -24,6 +24,9 @@ Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has
 
 TOLERANCE = 0.01
 """Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
+
+ALONG_FACE = 1e-3
+"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are rounded."""
 
 
 def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
@@ -55,6 +58,9 @@ def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
         if not isinstance(insertion, RainInsertion | InletInsertion):
             continue
         interval = _interval(plan, group, insertion)
+        if isinstance(insertion, InletInsertion) and (sentence := _direction(scene, plan, name, insertion)):
+            yield sentence
+            continue
         largest, held = _largest_flow(scene, group, insertion, interval)
         key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
         if isinstance(insertion, InletInsertion):
@@ -74,6 +80,52 @@ def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
                 f"neither gravity nor particles.{name}.velocity moves them out; the others are queued. Enlarge the "
                 "region, or lower the count."
             )
+
+
+def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
+    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the scene.
+
+    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity is the
+    given one with the opposite component, or with the smallest one that is sufficient for the rate.
+    """
+    group = scene.particles[name]
+    velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
+    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
+    normal, _, area, _ = _face(region, velocity)
+    through, along = _through(velocity, normal), _through(gravity, normal)
+    if through > 0.0 or (through == 0.0 and along > 0.0):
+        return ""
+    is_still = not velocity.any()
+    if is_still and along == 0.0 and (gravity.any() or not _stays(plan, group)):
+        return ""
+    needed = mean_volume(group) / (_interval(plan, group, insertion) * DENSEST_FLOW * area)
+    speed = float(f"{1.5 * needed:.1g}") if through == 0.0 else -2.0 * float(velocity @ normal)
+    if through < 0.0:
+        fault = "points against it, so that they leave backward through the face"
+    elif along < 0.0:
+        fault = "has no component along it, so that gravity moves them backward through the face"
+    else:
+        fault = "has no component along it, so that they do not leave the face along its normal"
+    given = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')}) is {_vector(velocity)} m/s"
+    reverse = "reverse face.disc.normal"
+    if not isinstance(insertion.face, DiscFace):
+        reverse = "exchange the two sides of face.rectangle"
+    return (
+        f"{given}, but particles enter through the face of the inlet along {_vector(normal)}: the velocity {fault}. "
+        f"Give a velocity such as {_vector(velocity + speed * normal)} m/s"
+        f"{f', or {reverse}' if through < 0.0 or along < 0.0 else ''}."
+    )
+
+
+def _through(vector: np.ndarray, normal: np.ndarray) -> float:
+    """Component of a vector along a normal; 0 for a vector that is parallel to the face within rounding."""
+    component = float(vector @ normal)
+    return 0.0 if abs(component) <= ALONG_FACE * float(np.linalg.norm(vector)) else component
+
+
+def _vector(values: np.ndarray) -> str:
+    """Three numbers in the form of the scene."""
+    return "[" + ", ".join(f"{each + 0.0:.3g}" for each in np.round(values, 12)) + "]"
 
 
 def _stays(plan: Plan, group: Group) -> bool:
