@@ -11,6 +11,7 @@ from typing import Any, get_args
 from granflow.arguments import items_of, path_of, refuse_other, shown
 from granflow.errors import GranflowError, OutputError, SceneError
 from granflow.io.atomic_files import write_text
+from granflow.io.checkpoint import engine_digest
 from granflow.io.log import version_of
 from granflow.io.regular_files import file_digest, resolved
 from granflow.particles.resolve import resolved_input
@@ -274,12 +275,17 @@ def _group_with(group: Group, copies: Mapping[str, str]) -> Group:
     return group.model_copy(update={"insert": insertion})
 
 
+def program_version() -> str:
+    """Version of granflow and digest of the sources of its engine, which differ between commits of one version."""
+    return f"granflow {version_of('granflow')} (engine {engine_digest()})"
+
+
 def identity_of(scene: Scene) -> str:
-    """SHA-256 of the version of granflow, of the resolved scene, and of the contents of the files that it reads.
+    """SHA-256 of the version and the engine of granflow, the resolved scene, and the contents of the files it reads.
 
     Without the contents of the run in `start_from`. Raises OSError for a file that cannot be read.
     """
-    digest = hashlib.sha256(f"granflow {version_of('granflow')}\n{scene.to_yaml()}".encode())
+    digest = hashlib.sha256(f"{program_version()}\n{scene.to_yaml()}".encode())
     for key, name in scene.input_names():
         digest.update(f"\n{key} {file_digest(scene.folder / name)}".encode())
     return digest.hexdigest()

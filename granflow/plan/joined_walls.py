@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from granflow.geometry.catalog import Surface, reach_about, triangles
 from granflow.geometry.mesh.adjacency import classify_edges
@@ -155,6 +153,9 @@ def _has_touching_parts(mesh: Mesh, tolerance: float) -> bool:
         return True
     pairs = classify_edges(mesh.corners)[0] // 3
     count = mesh.triangle_count
+    from scipy.sparse import coo_array  # imported here: most scenes have no mesh
+    from scipy.sparse.csgraph import connected_components
+
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     part_count, part = connected_components(graph, directed=False)
     if part_count > MAX_PARTS:

@@ -158,6 +158,8 @@ def test_directory_of_a_run_changes_with_the_contents_of_its_inputs_and_the_vers
     found.append(names_of_runs(tmp_path))
     monkeypatch.setattr("granflow.load.version_of", lambda _: "99.0")
     found.append(names_of_runs(tmp_path))
+    monkeypatch.setattr("granflow.load.engine_digest", lambda: "another engine")
+    found.append(names_of_runs(tmp_path))
     assert len({name for names in found for name in names}) == 2 * len(found)
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from granflow import Scene
 from granflow.io.checkpoint import PATTERN, newest_checkpoint
-from granflow.io.log import version_of
 from granflow.io.rank_files import PATTERN as RANK_PATTERN
 from granflow.io.regular_files import file_digest
+from granflow.load import program_version
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RunInputs:
         """The inputs of a scene as they are now."""
         paths = [scene.path.resolve(), *((scene.folder / name).resolve() for _, name in scene.input_names())]
         source = ("", "") if scene.start_from is None else (scene.start_from, source_digest(Path(scene.start_from)))
-        return cls(tuple((str(path), file_digest(path)) for path in paths), source, version_of("granflow"))
+        return cls(tuple((str(path), file_digest(path)) for path in paths), source, program_version())
 
     def change(self) -> str:
         """Sentence on the first input that is no longer the same; empty without one."""
@@ -38,9 +38,9 @@ class RunInputs:
             changed.append(self.source[0])
         if changed:
             return f"{changed[0]} has changed since the run was checked; repeat the command."
-        if version_of("granflow") != self.version:
+        if program_version() != self.version:
             return (
-                f"The worker has granflow {version_of('granflow')}, the command was started with {self.version}: "
+                f"The worker has {program_version()}, the command was started with {self.version}: "
                 "install the same version, and repeat the command."
             )
         return ""
