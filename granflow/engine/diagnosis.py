@@ -15,6 +15,7 @@ from granflow.engine.limits import (
     ABORT_OVERLAP,
     ABORT_REASONS,
     ABORT_WALL,
+    Change,
     Diagnosis,
 )
 from granflow.engine.state import State
@@ -53,23 +54,23 @@ class CandidatePairs:
 
 
 @np.errstate(all="ignore")  # velocities may be infinite
-def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool, after_change: bool) -> Diagnosis:
+def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool, change: Change | None) -> Diagnosis:
     """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
 
-    code:          abort code, see `limits`
-    particle:      id of the particle that exceeded the limit; unused for walls
-    time:          simulated time [s]
-    step_taken:    true if a step was taken; false if only the initial forces were computed
-    after_change:  true if no step was taken since particles were inserted or walls changed
+    code:        abort code, see `limits`
+    particle:    id of the particle that exceeded the limit; unused for walls
+    time:        simulated time [s]
+    step_taken:  true if a step was taken; false if only the initial forces were computed
+    change:      insertion or change of walls since which no step was taken, or None
 
     Runs on the host in float64. For a position that is not finite or a displacement above its limit, only contacts of
     this particle one step earlier are considered.
     """
     if code == ABORT_WALL:
-        return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, False)
+        return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, None)
     arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
     arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
-    if code == ABORT_OVERLAP and step_taken and not after_change:
+    if code == ABORT_OVERLAP and step_taken and change is None:
         # The forces belong to the present positions, one step ahead of the time.
         mass = np.maximum(arrays["mass"], TINY_MASS)
         arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
@@ -82,7 +83,7 @@ def diagnose(code: int, particle: int, state: State, time: float, step_taken: bo
     considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE) else np.ones_like(involved)
     share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
     pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
-    return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken, after_change)
+    return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken, change)
 
 
 def _fastest_wall(state: State) -> Body:

@@ -18,7 +18,7 @@ from granflow.engine.host_copy import append_particles
 from granflow.engine.host_particles import HostParticles
 from granflow.engine.insertion import new_particle_arrays, sphere_rows
 from granflow.engine.integrate import build_kick
-from granflow.engine.limits import NO_PARTICLE
+from granflow.engine.limits import NO_PARTICLE, Change
 from granflow.engine.readings import MOTION, Readings
 from granflow.engine.saved_particles import RankFiles
 from granflow.engine.saved_sums import load_sums, load_wall_dynamics, saved_sums, saved_wall_dynamics
@@ -53,7 +53,9 @@ class Engine(Readings):
         self.stability_monitor = StabilityMonitor(plan)
         self.steps_since_update = 0
         self._gravity = np.array(plan.gravity)
-        self._walls_changed = self._stopped_by_change = False
+        self._walls_changed = False
+        self._stage, self._walls_appeared = plan.stages[0].name, list[str]()
+        self._stopping_change: Change | None = None
         self._started = False
         self.energy_before_change: float | None = None
         self._counts_contacts = False
@@ -107,7 +109,7 @@ class Engine(Readings):
         if time_step is not None:
             state.clock.change(time_step)
         self.accounting = Accounting(outlets={outlet.name: [0.0, 0.0] for outlet in self.plan.outlets})
-        self._started, self.energy_before_change, self._stopped_by_change = False, None, False
+        self._started, self.energy_before_change, self._stopping_change = False, None, None
         self.insert(new)
         self.refresh()
 
@@ -119,6 +121,8 @@ class Engine(Readings):
         """
         self.state.wall_motions = tuple(tuple(each) for each in motions)
         for index, is_present in enumerate(present):
+            if is_present and not self.state.walls.present[index]:
+                self._walls_appeared.append(self.plan.walls[index].name)
             self.state.walls.present[index] = int(is_present)
             pivot = pose(self.state.wall_motions[index], np.array([self.time])).pivot
             self.state.walls.pivot[index] = pivot.tolist()
@@ -126,6 +130,7 @@ class Engine(Readings):
 
     def set_stage(self, stage: str) -> None:
         """Set the stage, which may have damping; takes effect with the next forces."""
+        self._stage = stage
         write_damping(self.state, stage)
 
     def refresh(self) -> None:
@@ -140,7 +145,11 @@ class Engine(Readings):
             before, energy = self._contact_energy(), self._contact_energy
         self.stepper.poses.discard()
         self.stepper.refresh(self.step_count, velocities_lag=self._started)
-        self._stopped_by_change = self._started and self.aborted
+        if self._started and self.aborted:
+            self._stopping_change = Change(self._stage, tuple(self._walls_appeared))
+        else:
+            self._stopping_change = None
+        self._walls_appeared.clear()
         if before is not None:
             self.accounting.inserted_energy += energy() - before
         self._walls_changed, self.energy_before_change = False, None
@@ -251,6 +260,7 @@ class Engine(Readings):
         self.accounting.load_state_dict(saved["accounting"])
         self.steps_since_update = saved["steps_since_update"]
         self._started, self._walls_changed = True, False
+        self._walls_appeared.clear()
 
     def _restore_lists(
         self, saved: Mapping[str, Any], particles: HostParticles, motions: Sequence[Sequence[Motion]]
@@ -271,6 +281,7 @@ class Engine(Readings):
     def take_over(self, earlier: "Engine") -> None:
         """Continue the run of an earlier engine whose checkpoint has been restored here, with its pending changes."""
         self._started, self._walls_changed = earlier._started, earlier._walls_changed
+        self._walls_appeared = list(earlier._walls_appeared)
         self.energy_before_change, self._counts_contacts = earlier.energy_before_change, earlier._counts_contacts
         self.timing.compile += earlier.timing.compile
         self.timing.growth_count += earlier.timing.growth_count

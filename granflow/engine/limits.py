@@ -47,6 +47,14 @@ OVERLAP_MARGIN = 1.4
 
 
 @dataclass(frozen=True)
+class Change:
+    """Insertion, or change of walls, during a run. `stage`: name of the stage; `appeared`: names of the new walls."""
+
+    stage: str
+    appeared: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Cause of an aborted run.
 
@@ -62,8 +70,8 @@ class Diagnosis:
     time_step: float
     begun: bool
     """True if a step was taken; false if only the initial forces were computed."""
-    after_change: bool
-    """True if the forces are those after an insertion or a change of walls, before the next step."""
+    change: Change | None
+    """The change after which the forces were computed; None if a step was taken since then, or before the first one."""
 
 
 def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -100,16 +108,31 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         needed = float(f"{pair.overlap + 0.005:.2f}")
         accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
         return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
-    if diagnosis.after_change and pair.second.position is None:
-        return (
-            f"{description} The particle was inserted there, or the wall appeared there, at this time: choose a region "
-            f"for the insertion that does not intersect {pair.second.name}, or let the wall appear where there are no "
-            "particles."
-        )
+    if diagnosis.change is not None and pair.second.position is None:
+        return f"{description} {_change_cause(diagnosis.change, pair.second.name, plan)}"
     description = f"{description} {_relative_motion(pair)}"
     if diagnosis.time_step > pair.stable_step and plan.step.is_given:
         return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
     return f"{description} {overlap_cause(pair, plan)}"
+
+
+def _change_cause(change: Change, wall: str, plan: Plan) -> str:
+    """Sentence on a particle that is in a wall since an insertion, or since the wall exists; `wall`: as in messages."""
+    name = next((name for name in change.appeared if wall == f"wall {name}"), None)
+    if name is None:
+        return (
+            "The particle was inserted there at this time: choose a region for the insertion that does not intersect "
+            f"{wall}."
+        )
+    planned = next(each for each in plan.walls if each.name == name)
+    keys = ([] if planned.stages is None else [f"walls.{name}.stages"]) + (
+        [f"walls.{name}.appears_at"] if planned.appears_at > 0.0 else []
+    )
+    remedy = f" Change {' or '.join(keys)}, or let" if keys else " Let"
+    return (
+        f"Wall {name} appears at this time, in stage {change.stage}, where the "
+        f"particle is.{remedy} it appear where there are no particles."
+    )
 
 
 def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:

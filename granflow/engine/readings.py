@@ -16,7 +16,7 @@ from granflow.engine.force.contact_statistics import ContactStatistics
 from granflow.engine.force.wall_forces import wall_impulses
 from granflow.engine.frozen_masks import mobility_mask
 from granflow.engine.host_copy import copy_to_host
-from granflow.engine.limits import Diagnosis
+from granflow.engine.limits import Change, Diagnosis
 from granflow.engine.particle_sums import ParticleSums, device_sums, host_sums
 from granflow.engine.snapshots import ordered_particles, wall_poses
 from granflow.engine.stability_monitor import StabilityMonitor
@@ -62,7 +62,7 @@ class Readings:
     _gravity: np.ndarray
     _started: bool
     _walls_changed: bool
-    _stopped_by_change: bool
+    _stopping_change: Change | None
     _counts_contacts: bool
 
     @property
@@ -116,7 +116,7 @@ class Readings:
         if not code:
             return None
         particle = int(self.state.control.abort_particle[0])
-        return diagnose(code, particle, self.state, self.time, self._started, self._stopped_by_change)
+        return diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
 
     def _contact_energy(self) -> float:
         """Elastic energy and plastic dissipation [J] of the present contacts."""

@@ -190,5 +190,5 @@ class RankEngine(Engine):
             code, particle = self.stepper.abort_code, int(self.state.control.abort_particle[0])
             found = None
             if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
-                found = diagnose(code, particle, self.state, self.time, self._started, self._stopped_by_change)
+                found = diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
             return next((each for each in self.communicator.to_root(found) if each is not None), None)

@@ -243,6 +243,22 @@ def test_displacement_message_names_the_overlapping_partner(taichi_f64):
     assert number_after("moves", message) == pytest.approx(HERTZ * overlap**1.5 * step**2 / (2 * MASS), rel=1e-2)
 
 
+@pytest.mark.parametrize(
+    ("presence", "stage", "key"),
+    [({"stages": ["hold"]}, "hold", "walls.gate.stages"), ({"appears_at": 5e-4}, "fill", "walls.gate.appears_at")],
+)
+def test_wall_that_appears_inside_of_a_particle_is_named_with_its_stage(taichi_f64, presence, stage, key):
+    """The gate cuts one of two particles that touch, 1 mm below its center: an overlap of 0.8 radii."""
+    pair = particle_group([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    walls = {"floor": plane([0, 0, -0.02], [0, 0, 1]), "gate": plane([0, 0, -0.001], [0, 0, 1], **presence)}
+    stages = [{"name": "fill", "duration": 1e-3}, {"name": "hold", "duration": 1e-3}]
+    message = abort_message(build_scene(groups(pair), walls=walls, stages=stages))
+    assert "overlaps with wall gate (glass, at rest) by 0.8 times the smaller radius" in message
+    assert (
+        f"Wall gate appears at this time, in stage {stage}, where the particle is. Change {key}, or let it" in message
+    )
+
+
 def test_message_of_a_particle_outside_the_domain_has_its_position(taichi_f64):
     domain = {"min": [-0.01] * 3, "max": [0.01] * 3, "on_exit": "error"}
     fast = particle_group([[0.0, 0, 0]], velocity=[3.0, 0, 0])
