@@ -55,12 +55,12 @@ def _gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
     near, far = (int(each) for each in np.unravel_index(gap.argmin(), gap.shape))
     reach = radii[near] + radii[far] - COMMON_OVERLAP * min(radii[near], radii[far])
     closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
-    others = " and the spheres connected with it" if (part == part[far]).sum() > 1 else ""
+    others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
     yield (
         f"{_key(scene, name, far)} is {_vector(centers[far])} m, {gap[near, far]:.3g} m away from the surface of "
         f"spheres.{near}, which is the nearest one of the others: the spheres of this clump form {count} separate "
-        f"bodies that move as one. Close the gap with a position such as {_vector(closed)} m{others and ', for it'}"
-        f"{others}, or give the bodies groups of their own."
+        f"bodies that move as one. Move it{others} to a position such as {_vector(closed)} m, which closes the gap, or "
+        "give the bodies groups of their own."
     )
 
 

@@ -96,6 +96,8 @@ def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -
     if through > 0.0 or (through == 0.0 and along > 0.0):
         return ""
     is_still = not velocity.any()
+    if along == 0.0 and through == 0.0 and group.thermal is not None:
+        return ""
     if is_still and along == 0.0 and (gravity.any() or not _stays(plan, group)):
         return ""
     needed = mean_volume(group) / (_interval(plan, group, insertion) * DENSEST_FLOW * area)
