@@ -290,7 +290,8 @@ class RunDirectory:
             save_kept(last)
         except (OSError, GranflowError) as error:
             return f"No checkpoint can be written to {name}: {error}."
-        if (time := self._checkpoints.last_time or last) is None:
+        written = self._checkpoints.last_time
+        if (time := last if written is None else written) is None:
             return "There is no checkpoint."
         remark = "; give it --allow-changes if rows of a time series are lost"
         return f"{self._command(name)} continues from {time:.6g} s{remark}."

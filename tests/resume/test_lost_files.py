@@ -141,6 +141,18 @@ def test_directory_deleted_between_two_parts_is_not_created_again(taichi_f64, tm
     simulation.free()
 
 
+def test_loss_in_the_first_checkpoint_interval_leaves_the_state_at_the_start(taichi_f64, tmp_path):
+    """The only copy of the state is that at 0 s, before the first step."""
+    out = tmp_path / "out"
+    simulation = gf.Simulation(scene(), threads=2, out=out)
+    simulation.step(1)
+    shutil.rmtree(out)
+    with pytest.raises(OutputError, match=f"granflow resume {out} continues from 0 s"):
+        simulation.step(1000)
+    simulation.free()
+    assert main(["resume", str(out), "--threads", "2", "--allow-changes"]) == 0
+
+
 def test_working_directory_does_not_matter_after_the_start(taichi_f64, tmp_path, whole, monkeypatch):
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path)
