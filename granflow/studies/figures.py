@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from granflow.errors import GranflowError
+from granflow.io.atomic_files import replacing
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31", "#7F7F7F")
 """Colors distinguishable for color-blind readers and in gray (Okabe & Ito 2008, plus two)."""
@@ -80,13 +81,16 @@ def write_figures(out: Path, figures: Mapping[str, Drawing]) -> str:
 
 
 def draw_to(path: Path, draw: Callable[[Any], None], height: float, width: float = WIDTH) -> None:
-    """Write a PNG: call `draw` with an empty matplotlib figure of `width` by `height` [inch] in the common style.
+    """Write an image: call `draw` with an empty matplotlib figure of `width` by `height` [inch] in the common style.
 
-    The resolution is RESOLUTION [dots per inch]. Raises GranflowError if matplotlib is not installed.
+    The suffix of `path` is the type, such as .png; the resolution is RESOLUTION [dots per inch]. The file is written
+    atomically: a link at `path` is replaced, and the file to which it leads stays unchanged. Raises GranflowError if
+    matplotlib is not installed.
     """
     with styled_figure((width, height), layout="constrained") as figure:
         draw(figure)
-        figure.savefig(path, dpi=RESOLUTION)
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=RESOLUTION, format=path.suffix.removeprefix("."))
 
 
 def stacked_panels(figure: Any, count: int, **shared: Any) -> Any:

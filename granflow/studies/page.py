@@ -13,6 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from granflow.io.atomic_files import write_text
 from granflow.studies.figures import Drawing, write_figures
 from granflow.studies.tables import PageTable, percent, write_columns
 from granflow.visible_text import readable, visible
@@ -48,11 +49,11 @@ def write_study(
 
 
 def write_page(path: Path, template: str, **content: Any) -> None:
-    """Write a template with its variables as UTF-8.
+    """Write a template with its variables as UTF-8, atomically.
 
     Raises KeyError for an image format that is not supported, OSError if an image is missing.
     """
-    path.write_text(page_text(template, **content), encoding="utf-8")
+    write_text(path, page_text(template, **content))
 
 
 def page_text(template: str, **content: Any) -> str:

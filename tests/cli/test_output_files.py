@@ -48,6 +48,20 @@ def test_input_of_the_run_and_directories_are_not_replaced(taichi_f64, run, caps
     assert capsys.readouterr().err.startswith(f"granflow: --out {run.parent} is a directory; give a file")
 
 
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf", "html"])
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_a_plot_replaces_a_link(tmp_path, ending, link):
+    """A figure or a page does not change the file to which an existing link leads, such as the time series."""
+    pytest.importorskip("plotly" if ending == "html" else "matplotlib")
+    series, out = tmp_path / "timeseries.csv", tmp_path / f"curve.{ending}"
+    series.write_text("time [s],mass [kg]\n0,1\n1,2\n")
+    link(series, out)
+    assert main(["plot", str(series), "--y", "mass", "--out", str(out)]) == 0
+    assert series.read_text() == "time [s],mass [kg]\n0,1\n1,2\n"
+    assert not out.is_symlink() and out.stat().st_size > 1000
+    assert sorted(tmp_path.iterdir()) == sorted([series, out])
+
+
 def test_dangling_link_is_named(tmp_path, capsys):
     (tmp_path / "out").symlink_to(tmp_path / "nowhere")
     scene = build_scene({"ball": particle_group([[0, 0, 0]])}, run={"duration": 1e-4, "velocity_max": 1.0})

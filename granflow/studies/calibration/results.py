@@ -213,7 +213,8 @@ def _copy_inputs(scene: Scene, copied: Scene, out: Path) -> None:
         source, target = (scene.folder / name).resolve(), out / copy
         if source.exists() and target.resolve() != source:
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+            with replacing(target) as temporary:
+                shutil.copyfile(source, temporary)
 
 
 def trial_columns(result: CalibrationResult) -> dict[str, list[Any]]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from granflow.io.atomic_files import write_text
 from granflow.studies.feature_cost.measure import STEPS, STEPS_BEFORE, FeatureCost
 from granflow.studies.tables import attribute_columns, write_columns
 
@@ -45,7 +46,7 @@ def write_feature_costs(out: Path, found: Sequence[FeatureCost], title: str) -> 
     write_columns(out / "feature_cost.csv", _columns(found))
     lines = [f"## {title}", "", _line(HEADS), _line(["---", *["---:"] * (len(HEADS) - 1)])]
     lines += [*(_line(row) for row in cost_rows(found)), "", *(f"- {each}" for each in remarks(found))]
-    (out / "feature_cost.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(out / "feature_cost.md", "\n".join(lines) + "\n")
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from granflow import __version__
+from granflow.io.atomic_files import write_text
 from granflow.studies.page import page_text
 from granflow.studies.tables import PageTable
 from granflow.studies.validation.adhesion import adhesion_cases
@@ -112,9 +113,9 @@ def write_validation(
         "version": __version__, "date": date.today().isoformat(), "quick": quick,
         "cases": [each.as_dict() for each in cases],
     }  # fmt: skip
-    (out / "validation.json").write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (out / "validation.html").write_text(rendered("validation.html", stored), encoding="utf-8")
-    (out / "validation.md").write_text(rendered("validation.md.jinja", stored), encoding="utf-8")
+    write_text(out / "validation.json", json.dumps(stored, indent=1, ensure_ascii=False) + "\n")
+    write_text(out / "validation.html", rendered("validation.html", stored))
+    write_text(out / "validation.md", rendered("validation.md.jinja", stored))
     return cases
 
 
