@@ -88,10 +88,21 @@ def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
 
 
 def permitted_change(diagnosis: Diagnosis) -> str:
-    """KEY=VALUE for a run that continues before the abort: a limit above the overlap; empty if none is known."""
+    """KEY=VALUE for a run that continues before the abort: a limit above the overlap; empty if none is known.
+
+    For an initial overlap, the limit is that of the message.
+    """
     if diagnosis.reason != "overlap" or diagnosis.pair is None or diagnosis.pair.overlap >= LARGEST_OVERLAP:
         return ""
+    if not diagnosis.begun:
+        needed = _limit_for_initial(diagnosis.pair.overlap)
+        return f"numerics.max_overlap={needed:g}" if needed <= LARGEST_OVERLAP else ""
     return f"numerics.max_overlap={min(OVERLAP_MARGIN * diagnosis.pair.overlap, LARGEST_OVERLAP):.2g}"
+
+
+def _limit_for_initial(overlap: float) -> float:
+    """Smallest limit with two decimals that permits an initial overlap over the radius."""
+    return float(f"{overlap + 0.005:.2f}")
 
 
 def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
@@ -105,7 +116,7 @@ def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
         f"radius, more than {limit}."
     )
     if not diagnosis.begun:
-        needed = float(f"{pair.overlap + 0.005:.2f}")
+        needed = _limit_for_initial(pair.overlap)
         accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
         return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
     if diagnosis.change is not None and pair.second.position is None:

@@ -220,7 +220,7 @@ class RunDirectory:
         """Return sentences for an aborted run: whether its state is `written`, and the command that continues.
 
         `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is known to.
-        Empty without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits
+        Without a checkpoint, as after an abort before the first step, the command runs the scene from the start. Empty without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits
         for the frames.
         """
         self.writer.wait()
@@ -228,15 +228,28 @@ class RunDirectory:
             return ""
         if (self.path / PREVIOUS).is_dir():
             return f" Nothing is written; {self.shown} keeps the earlier run."
+        if self.checkpoint_time is None:
+            return self._note_without_checkpoint(written, change)
         note = f" The state is written to {self.shown}."
         if not written:
             note = f" The state is not finite and is not written; {self.shown} contains the earlier frames."
-        if self.checkpoint_time is None:
-            return note
         command = f"granflow resume {shlex.quote(str(self.shown))}"
         if change:
             return f"{note} {command} --set {change} continues from the last good state."
         return f"{note} {command} continues from the last good state, and stops here again unless the scene is changed."
+
+    def _note_without_checkpoint(self, written: bool, change: str) -> str:
+        """As `note_on_state` for a run without a checkpoint; the command contains the overrides of the first one."""
+        shown = self.shown
+        assert shown is not None
+        note = f" {shown} contains a frame of this state, but no checkpoint: the run cannot continue from it."
+        if not written:
+            note = f" The state is not finite and is not written; {shown} contains no checkpoint."
+        if not change:
+            return f"{note} Correct the scene and run it from the start."
+        scene = shlex.quote(str(shown / "scene_as_run.yaml"))
+        other = shlex.quote(f"{self.path if shown.name in ('', '..') else shown}_2")
+        return f"{note} granflow run {scene} --out {other} --set {change} runs it from the start with this change."
 
     def output_error(
         self, error: OSError, time: float, save: Callable[[], None] | None, save_kept: Callable[[float | None], None]
@@ -253,7 +266,7 @@ class RunDirectory:
         except LostFiles as lost:
             error = lost
         where = f"{error.filename}: " if error.filename else f"{self.shown}: "
-        stopped = f"{where}{error.strerror}. Stopped at {time:.6g} s."
+        stopped = f"{where}{error.strerror or error}. Stopped at {time:.6g} s."
         if isinstance(error, LostFiles):
             return OutputError(f"{stopped} {self._rescue(save_kept)}")
         try:

@@ -94,14 +94,24 @@ def test_an_exception_of_an_observer_at_the_abort_saves_the_last_good_state(taic
     assert checkpoint.saved["engine"]["clock"]["step_count"] == 0
 
 
-def test_abort_before_the_first_step_offers_no_command(taichi_f64, tmp_path):
-    """The balls overlap initially: there is no good state."""
+def test_abort_before_the_first_step_offers_the_command_that_runs_the_scene_with_another_limit(
+    taichi_f64, tmp_path, monkeypatch
+):
+    """A ball overlaps the floor initially by 0.16 of its radius: there is no good state and no checkpoint."""
+    monkeypatch.chdir(tmp_path)
     overlapping = build_scene(
-        {"pair": particle_group([[0, 0, 0.0], [0.0099, 0, 0]])}, numerics={"max_overlap": 0.01}
+        {"ball": particle_group([[0, 0, 0.0042]])}, {"floor": plane([0, 0, 0], [0, 0, 1])},
+        numerics={"max_overlap": 0.01}, run={"duration": 1e-5, "velocity_max": 1.0},
     )  # fmt: skip
-    with pytest.raises(gf.GranflowError) as stopped, gf.Simulation(overlapping, out=tmp_path) as simulation:
+    with pytest.raises(gf.RunError) as stopped, gf.Simulation(overlapping, out="out") as simulation:
         simulation.run()
-    assert "granflow resume" not in str(stopped.value)
+    message = str(stopped.value)
+    assert "granflow resume" not in message and "is written" not in message
+    assert newest_checkpoint(tmp_path / "out")[0] is None
+    (command,) = re.findall(r"(granflow run \S+ --out \S+ --set numerics.max_overlap=\S+) runs", message)
+    accepted = float(command.rpartition("=")[2])
+    assert 0.16 <= accepted <= 0.171 and f"set numerics.max_overlap to {accepted:g}" in message
+    assert main([*shlex.split(command)[1:], "--threads", "2"]) == 0
 
 
 def test_resumed_run_lists_a_warning_once(taichi_f64, tmp_path, capsys):
