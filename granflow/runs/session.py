@@ -95,11 +95,22 @@ class RunSession:
         return f"{self._failure.__name__} has ended the run in {path}. {last}"
 
     def _saved(self, error: FunctionError) -> FunctionError:
-        """The error with a sentence on the checkpoint, which is written here if the run has begun."""
+        """The error with a sentence on the checkpoint, which is written here if the run has begun.
+
+        The function may have changed files of the run: the sentence then says why there is no checkpoint, and the
+        error remains that of the function.
+        """
         if self._files.path is None or not self._state.progress.stage_times:
             return error
-        self._loop.save()
-        return FunctionError(f"{str(error).rstrip('.')}. The state at this time is saved in {self._files.shown}.")
+        failed = str(error).rstrip(".")
+        try:
+            self._loop.save()
+        except OSError as unwritten:
+            unsaved = self._files.output_error(unwritten, self._loop.engine.time, None, self._loop.save_kept)
+            return FunctionError(f"{failed}. No checkpoint of this state can be written: {unsaved}")
+        except GranflowError as refused:
+            return FunctionError(f"{failed}. No checkpoint of this state can be written: {refused}")
+        return FunctionError(f"{failed}. The state at this time is saved in {self._files.shown}.")
 
     def _abandon(self) -> None:
         """During the handling of an exception, close the files as they are."""

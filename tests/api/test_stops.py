@@ -1,6 +1,9 @@
 """The end of a run before its last stage: Ctrl-C, StopRun, requests, and what is refused afterwards."""
 
+import errno
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +15,7 @@ from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
 from granflow.io.checkpoint import checkpoint_at
+from granflow.runs.checkpoint_schedule import CheckpointWriter
 
 ARRAYS = ("position", "velocity", "angular_velocity")
 
@@ -203,6 +207,37 @@ def test_exit_of_the_program_in_an_observer_writes_a_checkpoint(taichi_f64, tmp_
         found = resumed.snapshot().particles
     for name in ARRAYS:
         np.testing.assert_array_equal(found[name], expected[name])
+
+
+@pytest.mark.parametrize("loss", ["renamed", "deleted", "disk full"])
+def test_a_failed_observer_is_named_although_no_checkpoint_can_be_written(taichi_f64, tmp_path, monkeypatch, loss):
+    out = tmp_path / "out"
+
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def fail(snapshot):
+        if snapshot.time < 0.001:
+            return
+        if loss == "renamed":
+            out.rename(tmp_path / "out_x")
+        elif loss == "deleted":
+            shutil.rmtree(out)
+        else:
+            monkeypatch.setattr(CheckpointWriter, "write", full)
+        raise ValueError("user bug")
+
+    simulation = gf.Simulation(scene(), out=out, observers=[gf.on_interval(2e-4, fail)])
+    with pytest.raises(gf.FunctionError, match=r"fail failed at 0\.001\S* s: ValueError: user bug") as failed:
+        simulation.run()
+    simulation.free()
+    assert isinstance(failed.value.__cause__, ValueError)
+    reason = "No space left on device" if loss == "disk full" else "moved or deleted during the run"
+    assert re.search(f"user bug. No checkpoint of this state can be written: .*{reason}", str(failed.value))
+    if loss != "disk full":
+        kept = tmp_path / ("out_x" if loss == "renamed" else "out")
+        assert f"granflow resume {kept} continues from 0 s" in str(failed.value)
+        assert checkpoint_at(kept).time == 0.0
 
 
 UNCLOSED = """
