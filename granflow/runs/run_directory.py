@@ -220,8 +220,9 @@ class RunDirectory:
         """Return sentences for an aborted run: whether its state is `written`, and the command that continues.
 
         `change`: KEY=VALUE that lets it continue past the abort; empty if no change of a permitted key is known to.
-        Without a checkpoint, as after an abort before the first step, the command runs the scene from the start. Empty without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits
-        for the frames.
+        Without a checkpoint, as after an abort before the first step, the command runs the scene from the start. Empty
+        without a path. Before the first frame of the run, the previous one will be restored, see `open`. Waits for the
+        frames.
         """
         self.writer.wait()
         if self.path is None:
