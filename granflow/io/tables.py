@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -25,18 +25,19 @@ MOST_COMMENTS = 100
 class Table:
     """A table as text: column names, separator (None: white space), line number of the header, and rows with theirs.
 
-    Lines count from 1. Rows may be shorter or longer than the header (see `complete`).
+    Lines count from 1. Rows may be shorter or longer than the header (see `complete`). `is_terminated`: whether the
+    file ends with a newline; otherwise a program may still be writing its last line.
     """
 
     names: tuple[str, ...]
     separator: str | None
     heading_line: int
     rows: tuple[tuple[int, list[str]], ...]
+    is_terminated: bool = True
 
     def complete(self) -> "Table":
         """The table without rows of another length than the header, such as an incomplete last line."""
-        rows = tuple(row for row in self.rows if len(row[1]) == len(self.names))
-        return Table(self.names, self.separator, self.heading_line, rows)
+        return replace(self, rows=tuple(row for row in self.rows if len(row[1]) == len(self.names)))
 
     def texts(self, column: int) -> list[str]:
         """Cells of a column of a complete table."""
@@ -96,7 +97,8 @@ def table_in(
             names, mark = (accepted or headers)[0]
             _refuse_repetition(names, path, n)
             rows = ((m, _cells(row, mark, path, m)) for m, row in lines[index + 1 :] if not _is_comment(row))
-            return Table(tuple(names), mark, n, tuple((m, _trimmed(cells, len(names))) for m, cells in rows))
+            trimmed = tuple((m, _trimmed(cells, len(names))) for m, cells in rows)
+            return Table(tuple(names), mark, n, trimmed, text.endswith(("\n", "\r")))
     return None
 
 

@@ -86,6 +86,49 @@ def test_a_table_with_columns_that_cannot_be_read_is_refused(tmp_path, head, mes
     assert message in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "line", "parts"),
+    [
+        ("time [ms,a [kPa]\n0,1\n", 1, ["'time [ms,a [kPa]'", "only one of the brackets []"]),
+        ("time [ms],a kPa]\n0,1\n", 1, ["'a kPa]' has only one of the brackets"]),
+        ("# old\ntime (ms,a\n0,1\n", 2, ["'time (ms' has only one of the brackets ()"]),
+        ("time [s];a [mm]\n0;1\n", 1, ["'time [s];a [mm]'", "separated by semicolons"]),
+        ("time [s]\ta [mm]\n0\t1\n", 1, ["separated by tabs"]),
+        ("time;a\n0,5;1,2\n", 1, ["separated by semicolons"]),
+        ("time [s] a [mm]\n0 1\n", 1, ["'time [s] a [mm]' does not end with its unit"]),
+        ("time [s],a [m]\n1,2\n2,3\n3,5\n4\n5,x\n", 5, ["the row '4' has 1 value, but the header has 2."]),
+        ("time [s],a [m]\n1,2\n2,x\n3,5\n4\n5,6\n", 3, ["a [m] is x, but a number is expected"]),
+        ("time [s],a\n1,2\n2,x", 3, ["a is x, but a number is expected"]),
+        ("time [s],a\n1,2\n,3\n", 3, ["time [s] is empty, but a number is expected"]),
+        ("time [s],a\n1,2\n2,3,4\n", 3, ["the row '2,3,4' has 3 values"]),
+        ("time [s],a\n1,2\n2\n", 3, ["the row '2' has 1 value"]),
+    ],
+)
+def test_damaged_headers_and_rows_are_refused_with_their_line(tmp_path, capsys, text, line, parts):
+    path = tmp_path / "scope.csv"
+    path.write_text(text)
+    assert main(["plot", str(path), "--y", "a", "--out", str(tmp_path / "a.png")]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and f"{path}:{line}: " in message
+    assert all(part in message for part in parts), message
+
+
+@pytest.mark.parametrize("last", ["", "2", "2.5,ho", "2.5,hold,", "2.5,hold,1.5e-", "2.5,hold,-", "2.5,hold,na"])
+def test_empty_cells_and_a_last_line_that_is_being_written_are_accepted(tmp_path, last):
+    path = tmp_path / "timeseries.csv"
+    path.write_text(f"time [s],stage,mass [kg],remark\n0,load,1,a\n1,load,,\n2,hold,nan,b\n{last}")
+    (panel,) = panels_of([path], "time", ["mass"])
+    assert panel.curves[0].y == pytest.approx([1.0, np.nan, np.nan], nan_ok=True)
+
+
+def test_a_last_number_that_is_being_written_is_not_drawn(tmp_path):
+    path = tmp_path / "timeseries.csv"
+    for last, expected in (("1.5e-", np.nan), ("-", np.nan), ("in", np.nan), ("", np.nan), ("1.5", 1.5)):
+        path.write_text(f"time [s],mass [kg]\n0,0\n1,{last}")
+        (curve,) = panels_of([path], "time", ["mass"])[0].curves
+        assert curve.x.tolist() == [0.0, 1.0] and curve.y == pytest.approx([0.0, expected], nan_ok=True)
+
+
 def test_a_column_has_its_unit_and_an_angle_is_in_degrees(run):
     assert value(run, "wall_pressure.lid").unit == "Pa"
     slope = value(run, "slope")
