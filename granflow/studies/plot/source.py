@@ -89,7 +89,9 @@ def _refuse_damaged_rows(table: Table, path: Path) -> None:
     complete = table.complete()
     for index, heading in enumerate(table.names):
         name, unit = split_heading(heading)
-        wrong = np.flatnonzero(np.isnan(complete.numbers(index))) if name not in (STAGE, "contact") else []
+        if name in (STAGE, "contact"):
+            continue
+        wrong = np.flatnonzero(np.isnan(complete.numbers(index)))
         cells = [(complete.rows[k][0], complete.rows[k][1][index]) for k in wrong]
         if name == TIME or unit or len(cells) < len(complete.rows):
             problems += [
