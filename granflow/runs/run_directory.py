@@ -19,6 +19,7 @@ from granflow.io.lock import DirectoryLock, LostFiles, refuse_second_run, writin
 from granflow.io.log import collected_warnings, run_log, write_scene_as_run
 from granflow.load import Scene, copied_scene
 from granflow.observers.base import Checkpointable
+from granflow.observers.collision_energies import FILE as COLLISION_ENERGIES
 from granflow.runs.checkpoint_schedule import CheckpointWriter, SavedBy
 from granflow.runs.input_copies import copy_inputs, inputs_of
 from granflow.runs.previous import PREVIOUS, refuse_inputs_inside, replaced_run, restore_previous_run, results_in
@@ -26,6 +27,9 @@ from granflow.runs.result import Result, write_result
 
 POSITION = re.compile(r" \((?:[^()]*:\d+(?::\d+)?|--set [^()]*)\)|^\S+:\d+:\d+: ")
 """Position of a value in a warning: `(scene.yaml:31)`, `(--set KEY=VALUE)`, or `scene.yaml:31:5: ` at its begin."""
+
+CONTINUED = ("timeseries.csv", COLLISION_ENERGIES, "run.log")
+"""Files to which a resumed run appends."""
 
 
 class RunDirectory:
@@ -38,7 +42,8 @@ class RunDirectory:
     replacement, the run must not write into the files of another one.
 
     Raises GranflowError if a new run would delete an input file of its scene, or, without `overwrite`, an earlier run,
-    or if another run of this process writes into the directory.
+    if a resumed one would append to something other than a regular file, or if another run of this process writes into
+    the directory.
     """
 
     def __init__(
@@ -66,6 +71,8 @@ class RunDirectory:
         self._warnings: list[str] = []
         self._recorded: list[str] = []
         self._log_exists = resumed is not None
+        if path is not None and resumed is not None:
+            _refuse_special_files(path)
         if path is not None and resumed is None:
             refuse_inputs_inside(scene, path, only_results=True)
             self._refuse_results(path)
@@ -314,3 +321,13 @@ class RunDirectory:
         """Raise LostFiles before a checkpoint, except for the one in another directory."""
         if not self._rescued:
             self.check()
+
+
+def _refuse_special_files(path: Path) -> None:
+    """Raise GranflowError if a resumed run would append to a directory, a pipe or a device: a pipe blocks forever."""
+    for file in (path / name for name in CONTINUED):
+        if file.exists() and not file.is_file():
+            raise GranflowError(
+                f"{file} is not a regular file, and the run cannot append to it: restore the file, or move this away "
+                "and continue with --allow-changes."
+            )
