@@ -117,6 +117,12 @@ class FrameSeries:
         sync_all(self._unsynced)
         self._unsynced = []
 
+    def missing(self) -> list[str]:
+        """Return the names of the listed frames whose files no longer exist, in the order of time. Raises OSError."""
+        self.wait()
+        there = {path.name for path in self.directory.iterdir()} if self.frames else set()
+        return [name for _, name in self.frames if name not in there]
+
     def truncate(self) -> None:
         """Restore the files of the listed frames: list those that exist, then delete all others.
 

@@ -11,6 +11,7 @@ from granflow.observers.base import Checkpointable, Observer, WritesFiles
 from granflow.observers.interval import refuse_generator
 from granflow.observers.schedule import ScheduledObserver
 from granflow.observers.timeseries import Row, TimeSeries
+from granflow.observers.vtu import Frames
 from granflow.runs.timings import Readings
 from granflow.snapshot import Snapshot
 
@@ -165,10 +166,21 @@ class ObserverList(Sequence[Observer]):
         return next((row for row in rows if row is not None and row.time == time), None)
 
     def log_end(self) -> None:
-        """Log a warning for each metric whose last value is not defined or misleading."""
-        for series in self._series:
-            for sentence in series.remarks():
-                logging.getLogger("granflow").warning("%s", sentence)
+        """Log a warning for each metric whose last value is not defined or misleading, and one on missing frames."""
+        sentences = [sentence for series in self._series for sentence in series.remarks()]
+        for sentence in [*sentences, *self._remark_on_frames()]:
+            logging.getLogger("granflow").warning("%s", sentence)
+
+    def _remark_on_frames(self) -> list[str]:
+        """A sentence on the frames that another program has deleted or moved since they were written, if any."""
+        found = []
+        for series in (observer.series for observer in self._observers if isinstance(observer, Frames)):
+            if missing := series.missing():
+                counts = f"{len(missing)} of the {len(series.frames)} frames in {series.listing.name}"
+                found.append(f"{counts} (the first is {missing[0]})")
+        if not found:
+            return []
+        return [f"Frames no longer exist: {', '.join(found)}. Another program has deleted or moved them."]
 
     @property
     def rows_intact(self) -> bool:

@@ -177,6 +177,26 @@ def test_resume_refuses_to_append_to_what_is_not_a_regular_file(taichi_f64, tmp_
     assert sorted(path.name for path in out.iterdir()) == before
 
 
+def test_frames_that_no_longer_exist_at_the_end_cause_one_warning(taichi_f64, tmp_path, whole):
+    """Two frames of the particles and one of the walls are deleted in the middle of the run."""
+    out = tmp_path / "out"
+    lost = ["particles_0000.vtu", "particles_0002.vtu", "walls_0001.vtu"]
+
+    def delete(snapshot):
+        if snapshot.time > 0.99 * HALF:
+            for name in lost:
+                (out / name).unlink(missing_ok=True)
+
+    observers = [gf.on_interval(HALF / 100, delete, ("walls",))]
+    with gf.Simulation(scene(), threads=2, out=out, observers=observers) as simulation:
+        simulation.run()
+    count = len(list(whole.glob("particles_*.vtu")))
+    (warning,) = [text for text in gf.read_run(out).result.warnings if "no longer exist" in text]
+    assert f"2 of the {count} frames in particles.pvd (the first is particles_0000.vtu)" in warning
+    assert f"1 of the {count} frames in walls.pvd (the first is walls_0001.vtu)" in warning
+    assert not [text for text in gf.read_run(whole).result.warnings if "no longer exist" in text]
+
+
 def test_working_directory_does_not_matter_after_the_start(taichi_f64, tmp_path, whole, monkeypatch):
     (tmp_path / "other").mkdir()
     monkeypatch.chdir(tmp_path)
