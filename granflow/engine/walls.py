@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.mesh import from_nearest, normal_near, triangle_contact
+from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
 from granflow.engine.periodic_box import build_near_image, build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
@@ -96,26 +96,36 @@ class WallGeometry:
         half, found = ti.cast(0.5 * dt, self.real), normal
         if ti.static(not self.is_flat):
             velocity_rel = ti.cast(velocity, self.real) - self.velocity(face, pose, point)
-            found = self._normal_near(face, pose, point - half * velocity_rel, normal)
+            found = self._normal_near(face, pose, point, point - half * velocity_rel, normal)
         if ti.static(self.features.moving_walls):
             angular_velocity = ti.cast(self.walls.angular_velocity[pose, self.wall_of(-1 - face)], self.real)
             found -= half * angular_velocity.cross(found)
         return found + (1.0 - found.dot(normal)) * normal
 
     @ti.func
-    def _normal_near(self, face, pose, point, normal):
-        """Unit normal of a wall or triangle at a point near a contact with this normal, whether or not it owns it."""
+    def _normal_near(self, face, pose, point, point_half, normal):
+        """Unit normal of a wall or triangle at `point_half`, near a contact at `point` with this normal.
+
+        On the face it is that of the face, extended beyond its edges: another wall may have had the contact there, and
+        the direction from the edge would be integrated as slip. Near an edge it is the direction from the wall.
+        """
         w = self.wall_of(-1 - face)
-        local, found = self.to_wall_frame(w, pose, point), normal
+        local, local_half = self.to_wall_frame(w, pose, point), self.to_wall_frame(w, pose, point_half)
+        found = normal
         if ti.static(self.features.moving_walls):
             found = self.walls.rotation[pose, w].transpose() @ normal
         if face < self.wall_count():
             parameters = self.walls.parameters[w]
             for code in ti.static(self.kinds):
                 if self.walls.kind[w] == code:
-                    _gap, found = SHAPE_KINDS[code].closest(local, parameters)
+                    of_face = SHAPE_KINDS[code].face_normal(local, parameters)
+                    if found.cross(of_face).norm_sqr() <= ti.static(SAME_DIRECTION * SAME_DIRECTION):
+                        side = ti.select(found.dot(of_face) < 0.0, -1.0, 1.0)
+                        found = side * SHAPE_KINDS[code].face_normal(local_half, parameters)
+                    else:
+                        _gap, found = SHAPE_KINDS[code].closest(local_half, parameters)
         elif ti.static(self.features.mesh_walls):
-            found = normal_near(self.state.mesh, face - self.wall_count(), local, found)
+            found = normal_near(self.state.mesh, face - self.wall_count(), local_half, found)
         if ti.static(self.features.moving_walls):
             found = self.walls.rotation[pose, w] @ found
         return found

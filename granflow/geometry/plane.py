@@ -33,6 +33,12 @@ def closest_on_half_space(point, parameters):
 
 
 @ti.func
+def half_space_normal(point, parameters):
+    """Normal of the plane (ShapeKind.face_normal)."""
+    return ti.Vector([parameters[3], parameters[4], parameters[5]])
+
+
+@ti.func
 def half_space_distance(point, parameters):
     """Signed distance from the plane [m] (ShapeKind.surface_distance)."""
     return (
@@ -55,6 +61,12 @@ def rectangle_coordinates(point, parameters):
     beyond1 = along1 - ti.min(ti.max(along1, 0.0), parameters[12])
     beyond2 = along2 - ti.min(ti.max(along2, 0.0), parameters[13])
     return ti.Vector([beyond1, beyond2, height])
+
+
+@ti.func
+def rectangle_normal(point, parameters):
+    """Normal of the plane of the rectangle (ShapeKind.face_normal)."""
+    return ti.Vector([parameters[9], parameters[10], parameters[11]])
 
 
 @ti.func
@@ -156,6 +168,7 @@ HALF_SPACE = ShapeKind(
     name="half_space",
     parameter_names=("point_x", "point_y", "point_z", "normal_x", "normal_y", "normal_z"),
     closest=closest_on_half_space,
+    face_normal=half_space_normal,
     surface_distance=half_space_distance,
     reference_closest=reference_closest_on_half_space,
     triangles=half_space_triangles,
@@ -173,6 +186,7 @@ RECTANGLE = ShapeKind(
         *("length1", "length2"),
     ),
     closest=closest_on_rectangle,
+    face_normal=rectangle_normal,
     surface_distance=rectangle_distance,
     reference_closest=reference_closest_on_rectangle,
     triangles=rectangle_triangles,

@@ -54,6 +54,13 @@ def segment_coordinates(r, z, parameters):
 
 
 @ti.func
+def revolved_normal(point, parameters):
+    """Normal of the face in the half plane of the point (ShapeKind.face_normal)."""
+    _, _, radial = half_plane_coordinates(point, parameters)
+    return parameters[9] * radial - parameters[8] * ti.Vector([parameters[3], parameters[4], parameters[5]])
+
+
+@ti.func
 def revolved_distance(point, parameters):
     """Distance from the surface [m], at least 0, without regard to shared edges (ShapeKind.surface_distance)."""
     r, z, _ = half_plane_coordinates(point, parameters)
@@ -215,6 +222,7 @@ REVOLVED = ShapeKind(
         *("end_neighbor_r", "end_neighbor_z", "end_owned"),
     ),
     closest=closest_on_revolved,
+    face_normal=revolved_normal,
     surface_distance=revolved_distance,
     reference_closest=reference_closest_on_revolved,
     triangles=revolved_triangles,

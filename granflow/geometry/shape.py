@@ -25,6 +25,8 @@ class ShapeKind:
                            Distance [m] from the surface to the point and unit normal from the surface to the
                            point. Only `half_space` has negative distances. FAR_AWAY if the nearest point is on
                            an edge that another wall owns.
+        face_normal        ti.func (point, parameters) -> unit normal of the face, extended beyond its edges, where it
+                           is nearest to the point; either side
         surface_distance   ti.func (point, parameters) -> distance [m] without regard to shared edges. Wall
                            neighbor lists use it, because a point beyond an edge can be above the face in the
                            next step.
@@ -43,6 +45,7 @@ class ShapeKind:
     name: str
     parameter_names: tuple[str, ...]
     closest: Callable
+    face_normal: Callable
     surface_distance: Callable
     reference_closest: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     triangles: Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]

@@ -130,11 +130,7 @@ def collisions(walls, positions, **parts):
 
 
 def test_seams_of_walls_have_no_effect(taichi_f64, folder):
-    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic boundary.
-
-    In the one step in which a contact passes to another face, the normal at the half step is that of the edge of the
-    face, tilted by up to v dt / 2R = 3e-4: the slip of this step has an error of 4e-4, of more than 100 steps of slip.
-    """
+    """Trajectories, contacts and energies are those on one plane, for all owners and across a periodic boundary."""
     walls, positions = seams(folder)
     ground = {"ground": plane([0, 0, 0], [0, 0, 1])}
     found, expected = (run_and_sample(collisions(each, positions), 5e-5, 2e-3) for each in (walls, ground))
@@ -145,8 +141,8 @@ def test_seams_of_walls_have_no_effect(taichi_f64, folder):
         np.testing.assert_array_equal(snapshot.particles["wall_contact_count"], exact.particles["wall_contact_count"])
         for name in ("position", "velocity", "angular_velocity"):
             size = np.abs(exact.particles[name]).max()
-            np.testing.assert_allclose(snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-5 * size)
-        assert snapshot.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], abs=1e-5)
+            np.testing.assert_allclose(snapshot.particles[name], exact.particles[name], rtol=0.0, atol=1e-8 * size)
+        assert snapshot.totals["energy_error"] == pytest.approx(exact.totals["energy_error"], abs=1e-8)
     np.testing.assert_allclose(found[-1].particles["velocity"][:, 2], 0.15, rtol=1e-3)
 
 
