@@ -124,15 +124,15 @@ MUTATIONS = (
     Mutation(
         "wall velocity half a step late",
         "granflow/engine/walls.py",
-        "middles = times - 0.5 * clock.time_step",
-        "middles = times",
+        "middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step",
+        "middles = ends[:WALL_BATCH], ends",
         (WALL_TIME,),
     ),
     Mutation(
         "wall velocity half a step early",
         "granflow/engine/walls.py",
-        "middles = times - 0.5 * clock.time_step",
-        "middles = times - clock.time_step",
+        "middles = ends[:WALL_BATCH], ends - 0.5 * clock.time_step",
+        "middles = ends[:WALL_BATCH], ends - clock.time_step",
         (WALL_TIME,),
     ),
     # Lock and checkpoints

@@ -11,6 +11,7 @@ from granflow.engine import backend
 from granflow.engine.threads import workers
 from granflow.errors import GranflowError, RunError
 from granflow.geometry.quaternion import matrices
+from granflow.particles.particle_data import ParticleData
 from granflow.simulation import Simulation
 
 FRICTION = {"friction": 0.4, "restitution": 0.4}
@@ -194,5 +195,5 @@ def test_changes_from_python_are_refused(taichi_f64):
     with pytest.raises(GranflowError, match=message):
         simulation.particles.remove(np.array([True, False, False, False]))
     with pytest.raises(GranflowError, match="Particles from Python are not possible in a scene with clumps"):
-        simulation.restart(None)
+        simulation.restart(ParticleData(*np.zeros((3, 1, 3)), np.full(1, 1e-3), *np.zeros((2, 1), np.int32)))
     simulation.free()

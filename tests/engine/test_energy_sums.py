@@ -38,7 +38,7 @@ def totals(inserted, removed=0.5, **changes):
     words = [[int(losses[name] * 2 / ENERGY_UNIT) for name in LOSSES] + [0] * len(LOSSES)]
     field = SimpleNamespace(to_numpy=lambda: np.array(words))
     state = SimpleNamespace(
-        control=SimpleNamespace(losses=field, boundary_work=None, external_work=None),
+        control=SimpleNamespace(losses=field, boundary_work=None, external_work=None, wall_work_ahead=None),
         wall_dynamics=None,
         ranks=OneProcess(),
     )

@@ -28,7 +28,7 @@ def test_contacts_with_triangles_survive_another_wall(taichi_f64, tmp_path, monk
     with Simulation(on_a_mesh()) as simulation:
         simulation.step(200)
         assert np.any(simulation.snapshot(contacts=True).contacts["triangle"] >= 0)
-        simulation._state.engine = with_plan(simulation.engine, other)
+        simulation._state._engine = with_plan(simulation.engine, other)
         simulation.engine.advance(200)
         found = simulation.snapshot(contacts=True)
     for name in ("position", "velocity", "angular_velocity"):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Scene, Simulation
+from granflow.geometry.sphere import sphere_volume
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import FRACTION, STEP_ERROR, STEP_REASON
 from granflow.studies.validation.theory_of_collisions import Pair, Partner, collide, signed_power
@@ -103,7 +104,7 @@ def bridge_cases() -> list[ValidationCase]:
     """Attraction in contact and at a distance, rupture distance and rebound velocity of both models of bridges."""
     pair = {"surface_tension": TENSION, "contact_angle": ANGLE}
     # L_i = V_i / 2 (1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)) of both films (Shi & McCarthy 2008)
-    film = CONTENT * 4.0 / 3.0 * math.pi * RADIUS**3
+    film = CONTENT * sphere_volume(RADIUS)
     shared = film * (1.0 - math.sqrt(0.75))
     transfer = {"law": "capillary_transfer", "max_bridge_volume": 2.0 * shared}
     return [

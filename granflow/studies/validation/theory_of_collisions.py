@@ -8,6 +8,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from granflow.geometry.sphere import sphere_mass
+
 Force = Callable[[float, float], float]
 """Repulsion [N] from overlap [m] and overlap rate [m/s]."""
 ACCURACY, INTEGRATION_ERROR = 1e-11, 1e-8
@@ -28,7 +30,7 @@ class Partner:
     @property
     def mass(self) -> float:
         """Mass [kg]."""
-        return 4.0 / 3.0 * math.pi * self.radius**3 * self.solid["density"]
+        return sphere_mass(self.radius, self.solid["density"])
 
 
 @dataclass(frozen=True)
