@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from granflow.load import Scene
 from granflow.scene.schema.clumps import Clump
@@ -47,6 +46,8 @@ def _gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
     """A sentence on the narrowest gap between the spheres that are connected with the first one and the others."""
     centers, radii, distance = _spheres(clump)
     gap = distance - np.add.outer(radii, radii)
+    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
+
     count, part = connected_components(gap <= SAME * np.minimum.outer(radii, radii))
     if count == 1:
         return
