@@ -44,10 +44,10 @@ def _repeated(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
 
 def _gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
     """A sentence on the narrowest gap between the spheres that are connected with the first one and the others."""
-    centers, radii, distance = _spheres(clump)
-    gap = distance - np.add.outer(radii, radii)
     from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
 
+    centers, radii, distance = _spheres(clump)
+    gap = distance - np.add.outer(radii, radii)
     count, part = connected_components(gap <= SAME * np.minimum.outer(radii, radii))
     if count == 1:
         return
