@@ -29,13 +29,13 @@ def calibrate(
     Raises:   GranflowError with all problems of the calibration, if no trial was completed, or if Optuna or pandas
               (pip install pandas) is missing
     """
+    study = read_calibration(source)
     try:
         import pandas
     except ImportError:
         raise GranflowError(
             "granflow.calibrate returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
-    study = read_calibration(source)
     out = Path("out") / study.name if out is None else path_of("out", out)
     jobs = None if jobs is None else whole_number("jobs", jobs, 1)
     result = run_calibration(study, out, jobs, whole_number("threads", threads, 1))

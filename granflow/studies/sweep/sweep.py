@@ -31,13 +31,13 @@ def sweep(
     Returns:    columns as in sweep.csv: parameters, status, reason, seconds [s], quantities [SI], run directories
     Raises:     GranflowError with all problems of the sweep, or if pandas (pip install pandas) is missing
     """
+    study = read_sweep(source)
     try:
         import pandas
     except ImportError:
         raise GranflowError(
             "granflow.sweep returns a DataFrame of pandas, which is not installed: pip install pandas"
         ) from None
-    study = read_sweep(source)
     out = Path("out") / study.name if out is None else path_of("out", out)
     jobs = None if jobs is None else whole_number("jobs", jobs, 1)
     threads = whole_number("threads", threads, 1)
