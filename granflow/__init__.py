@@ -12,69 +12,80 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from granflow.engine.state_cache import start
+    from granflow.engine.engine import start
     from granflow.errors import FunctionError, GranflowError, OutputError, RunError, SceneError, StopRun
     from granflow.live.forces import ParticleForce
     from granflow.load import Scene
     from granflow.load import load as load_scene
     from granflow.observers.analysis import analyze_snapshots
     from granflow.observers.flow_meters import steady_flow
-    from granflow.observers.interval import on_interval
-    from granflow.particles.particle_data import ParticleData
+    from granflow.observers.observer import on_interval
+    from granflow.particles.group import ParticleData
+    from granflow.plan.arrays import estimate_memory
     from granflow.plan.build import plan_for
     from granflow.plan.explain import explain
-    from granflow.plan.memory_estimate import estimate_memory
     from granflow.plan.plan import Plan
     from granflow.runs.read_run import Run, read_run
     from granflow.runs.result import Result
-    from granflow.scene.registration import register_contact_model
-    from granflow.scene.schema.analysis import (
+    from granflow.scene.blocks.contact import Contact
+    from granflow.scene.blocks.domain import BoxOutlet, DiscOutlet, Domain, HalfSpaceOutlet, LeesEdwards
+    from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
+    from granflow.scene.blocks.output import (
         CenterOfMassMetric,
+        Checkpoints,
+        CollisionEnergies,
         ContentMetric,
         CoordinationMetric,
         FabricMetric,
         FieldGrid,
+        FlowMeter,
         LaceyMetric,
+        Output,
         ReposeMetric,
         SegregationMetric,
         SlidingMetric,
     )
-    from granflow.scene.schema.clumps import Clump, ClumpSphere
-    from granflow.scene.schema.contact import Contact
-    from granflow.scene.schema.damping import Damping
-    from granflow.scene.schema.domain import Domain, LeesEdwards
-    from granflow.scene.schema.expect import Expectation
-    from granflow.scene.schema.insertion import (
+    from granflow.scene.blocks.particles import (
         BoxRegion,
+        ClassSizes,
+        Clump,
+        ClumpSphere,
         CylinderRegion,
         DiscFace,
         FileInsertion,
+        Group,
         InletInsertion,
         LatticeInsertion,
+        LogNormalSizes,
+        NormalSizes,
         PackInsertion,
         PositionsInsertion,
         PythonInsertion,
         RainInsertion,
         RectangleFace,
+        SizeClass,
+        UniformSizes,
     )
-    from granflow.scene.schema.materials import Material, MaterialPair, RestitutionFit
-    from granflow.scene.schema.motions import (
+    from granflow.scene.blocks.run import Damping, Expectation, Numerics, RunSettings, Stage, StageCondition
+    from granflow.scene.blocks.shapes import Box
+    from granflow.scene.blocks.walls import (
+        BoxWall,
+        Cone,
+        Cylinder,
+        Disc,
         FreeWall,
+        MeshWall,
+        Plane,
+        Rectangle,
         Rotation,
+        RotationStep,
         Servo,
         SurfaceVelocity,
         TableMotion,
         Translation,
         Vibration,
     )
-    from granflow.scene.schema.outlets import BoxOutlet, DiscOutlet, HalfSpaceOutlet
-    from granflow.scene.schema.output import Checkpoints, CollisionEnergies, FlowMeter, Output
-    from granflow.scene.schema.particles import Group
-    from granflow.scene.schema.run import Numerics, RunSettings
-    from granflow.scene.schema.shapes import Box
-    from granflow.scene.schema.sizes import ClassSizes, LogNormalSizes, NormalSizes, SizeClass, UniformSizes
-    from granflow.scene.schema.stages import Stage, StageCondition
-    from granflow.scene.schema.walls import BoxWall, Cone, Cylinder, Disc, MeshWall, Plane, Rectangle, RotationStep
+    from granflow.scene.registration import register_contact_model
     from granflow.simulation import Simulation
     from granflow.snapshot import Snapshot
     from granflow.studies.calibration.calibrate import calibrate

@@ -10,22 +10,17 @@ from typing import Any, get_args
 
 from granflow.arguments import items_of, path_of, refuse_other, shown
 from granflow.errors import GranflowError, OutputError, SceneError
-from granflow.io.atomic_files import write_text
 from granflow.io.checkpoint import engine_digest
+from granflow.io.files import file_digest, resolved, write_text
 from granflow.io.log import version_of
-from granflow.io.regular_files import file_digest, resolved
 from granflow.particles.resolve import resolved_input
-from granflow.scene.document import DocumentError
-from granflow.scene.mapping import document_of
+from granflow.scene.blocks.particles import FileInsertion, Group
+from granflow.scene.blocks.run import Precision
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls import MeshWall, TableMotion, Wall
+from granflow.scene.document import DocumentError, document_of, parse
+from granflow.scene.model import Model
 from granflow.scene.reader import document_in, scene_in
-from granflow.scene.schema.fields import Model
-from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.motions import TableMotion
-from granflow.scene.schema.particles import Group
-from granflow.scene.schema.run import Precision
-from granflow.scene.schema.scene import SceneInput
-from granflow.scene.schema.walls import MeshWall, Wall
-from granflow.scene.yaml12 import parse
 from granflow.visible_text import html_table, numbered, visible_line
 
 COPIES = "inputs"

@@ -1,8 +1,9 @@
 """The simulation of a scene: runs and steps, snapshots, and live access to particles, walls, observers and forces."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import inf
 from numbers import Real
 from pathlib import Path
@@ -11,38 +12,120 @@ from types import NoneType, TracebackType
 from typing import TYPE_CHECKING, NoReturn
 
 from granflow.arguments import items_of, path_of, refuse_other, shown, whole_number
-from granflow.engine.backend import Arch, Precision, refuse_other_thread
-from granflow.engine.engine import Engine
-from granflow.engine.state_cache import start
+from granflow.engine.backend import Arch, Backend, Precision, free_device_memory, refuse_other_thread
+from granflow.engine.engine import Engine, start
 from granflow.errors import GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint, checkpoint_at
-from granflow.live.forces import Forces, ParticleForce
+from granflow.live.forces import Forces, ParticleForce, plan_with_forces
 from granflow.live.particles import LiveParticles
 from granflow.live.walls import LiveWalls
 from granflow.load import Scene, refuse_other_object
-from granflow.observers.base import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
 from granflow.observers.build import observers_for
-from granflow.particles.particle_data import ParticleData
+from granflow.observers.observer import CONTACTS, PARTICLES, TOTALS, WALLS, Observer
+from granflow.particles.group import ParticleData
+from granflow.plan.arrays import refuse_too_many, refuse_without_device_memory, refuse_without_memory
+from granflow.plan.build import plan_for, rank_plan
+from granflow.plan.explain import refuse_run_time
 from granflow.plan.plan import Plan
-from granflow.run_start import engine_for, run_start
-from granflow.runs.initial_particles import refuse_other_particles
-from granflow.runs.interrupts import stopping_on_interrupt
+from granflow.runs.initial_particles import initial_state, refuse_other_particles, warnings_before
+from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList, name_of
-from granflow.runs.python_changes import saved_parameters
 from granflow.runs.rank_frames import write_pieces
 from granflow.runs.ranks import refuse_on_ranks
 from granflow.runs.result import Result
+from granflow.runs.resume import (
+    Change,
+    accepted_change,
+    changed_plan,
+    engine_difference,
+    refuse_other_functions,
+    saved_parameters,
+)
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.run_state import RunState
-from granflow.runs.run_times import end_of_run
 from granflow.runs.session import RunSession
-from granflow.runs.time_loop import TimeLoop
+from granflow.runs.time_loop import TimeLoop, end_of_run, stopping_on_interrupt
 from granflow.runs.timings import WallClock
 from granflow.snapshot import Snapshot
 from granflow.visible_text import html_table, readable, visible_line
 
 if TYPE_CHECKING:
     from granflow.parallel.communicator import Communicator
+
+
+# What precedes a run: its plan with changes and forces from Python, its particles, its engine, and
+# refusals.
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """All decisions on a run before files are written and arrays allocated.
+
+    plan:       of the run, with changes from Python
+    original:   of the scene
+    initial:    particles to insert; None for a resumed run
+    earlier:    names of the groups whose particles do not come from the scene
+    change:     differences of the scene from that of the checkpoint; None without one
+    insertion:  inserters of the scene
+    warnings:   sentences on the scene
+    """
+
+    plan: Plan
+    original: Plan
+    initial: ParticleData | None
+    earlier: list[str]
+    change: Change | None
+    insertion: ParticleInsertion
+    warnings: list[str]
+
+
+def run_start(
+    scene: Scene,
+    backend: Backend,
+    given: ParticleData | None,
+    resume: Checkpoint | None,
+    forces: Sequence[ParticleForce],
+    observers: Iterable[str],
+    plan: Plan | None = None,
+    communicator: "Communicator | None" = None,
+    allow_changes: bool = False,
+    allow_long: bool = False,
+) -> RunStart:
+    """Decide on a run; arguments as for `Simulation`, but the names of its observers.
+
+    Raises the errors of `Simulation`.
+    """
+    original = plan or plan_for(scene, on_gpu=not backend.on_cpu)
+    plan = original if resume is None else changed_plan(original, resume)
+    plan = plan_with_forces(plan, forces, backend)
+    refuse_run_time(plan, allow_long)
+    _refuse_size(plan if communicator is None else rank_plan(plan, communicator.size), backend)
+    change = None if resume is None else accepted_change(resume, scene, plan, allow_changes)
+    if resume is not None:
+        refuse_other_functions(resume, plan.external_forces, [*observers], allow_changes)
+    initial, earlier = initial_state(scene, plan, given, resume)
+    warnings = warnings_before(scene, plan, initial)
+    if resume is not None:
+        warnings += filter(None, [engine_difference(resume)])
+    return RunStart(plan, original, initial, earlier, change, ParticleInsertion(scene, earlier), warnings)
+
+
+def engine_for(plan: Plan, backend: Backend, communicator: "Communicator | None", scene: Scene) -> Engine:
+    """The engine of a run; with a communicator that of the root, and only such runs import it."""
+    if communicator is None:
+        return Engine(plan, backend)
+    from granflow.parallel.rank_engine import RankEngine
+
+    return RankEngine(plan, backend, communicator, scene)
+
+
+def _refuse_size(plan: Plan, backend: Backend) -> None:
+    """Raise SceneError if the particles of this process exceed the range of indices or the memory."""
+    refuse_too_many(plan)
+    if backend.on_cpu:
+        refuse_without_memory(plan)
+    else:
+        refuse_without_device_memory(plan, free_device_memory(backend.arch), backend.largest_buffer)
 
 
 REMEDIES = {
@@ -52,7 +135,6 @@ REMEDIES = {
     "particles": "assign to an array, such as simulation.particles.velocity = ..., or use add and remove",
 }
 """How to change what an assignment to an attribute of a simulation does not."""
-
 _CREATION = Lock()
 """Held between the start of Taichi and the allocation of fields: another thread must not restart it there."""
 

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from granflow.cli.examples import scene_paths
+from granflow.cli.run import scene_paths
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted([*scene_paths().values(), ROOT / "tests" / "messages" / "good.yaml"])

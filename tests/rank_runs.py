@@ -16,17 +16,21 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from rank_scenes import SCENES  # noqa: E402
 
+from granflow.engine import threads as workers  # noqa: E402
 from granflow.engine.backend import start  # noqa: E402
 from granflow.engine.engine import Engine  # noqa: E402
-from granflow.engine.host_particles import joined_particles  # noqa: E402
-from granflow.engine.threads import workers  # noqa: E402
-from granflow.parallel import decomposition, rank_engine, rank_rebuild  # noqa: E402
+from granflow.engine.host import joined_particles  # noqa: E402
+from granflow.parallel import decomposition, rank_engine  # noqa: E402
+from granflow.parallel import rank_stepper as rank_rebuild
 from granflow.parallel.communicator import Communicator  # noqa: E402
 from granflow.parallel.decomposition import Decomposition  # noqa: E402
-from granflow.parallel.rank_engine import RankEngine  # noqa: E402
-from granflow.parallel.serve import controlling, serve  # noqa: E402
+from granflow.parallel.rank_engine import (  # noqa: E402
+    RankEngine,  # noqa: E402
+    controlling,
+    serve,
+)
+from granflow.plan import build as ranks  # noqa: E402
 from granflow.plan import plan as plan_module  # noqa: E402
-from granflow.plan import ranks  # noqa: E402
 from granflow.plan.build import plan_for  # noqa: E402
 from granflow.simulation import Simulation  # noqa: E402
 

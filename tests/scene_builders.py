@@ -5,8 +5,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from granflow.load import Scene
-from granflow.observers.interval import on_interval
-from granflow.scene.schema.scene import SceneInput
+from granflow.observers.observer import on_interval
+from granflow.scene.blocks.scene import SceneInput
 from granflow.simulation import Simulation
 
 SOFT = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from granflow import Simulation, load_scene
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 
 SCENES = Path(__file__).parents[1] / "scenes"
 

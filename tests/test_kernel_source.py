@@ -14,8 +14,16 @@ import pytest
 
 import granflow.contact
 import granflow.engine
-from granflow.kernel_language import KERNELS, ti
-from granflow.kernel_source import TreePool, end_of_function, filled, inside_class, set_member_class, source_lines
+from granflow.kernel_language import (
+    KERNELS,
+    TreePool,
+    end_of_function,
+    filled,
+    inside_class,
+    set_member_class,
+    source_lines,
+    ti,
+)
 
 
 def functions():

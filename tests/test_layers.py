@@ -16,6 +16,7 @@ LAYERS = (
     "kernel_language",
     "device_functions",
     "visible_text",
+    "units",
     "fields",
     "snapshot",
     "io",
@@ -51,13 +52,14 @@ STUDIES_IMPORT = {
     "granflow.contact.theory",
     "granflow.errors",
     "granflow.fields",
-    "granflow.geometry.sphere",
+    "granflow.geometry.shape",
     "granflow.load",
-    "granflow.scene.suggest",
+    "granflow.scene.model",
     "granflow.scene.validated_file",
+    "granflow.units",
     "granflow.visible_text",
 }
-"""Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.schema`."""
+"""Modules that studies may import, in addition to `granflow.studies`, `granflow.io` and `granflow.scene.blocks`."""
 FUNCTION_NODES = (ast.FunctionDef, ast.AsyncFunctionDef)
 TAICHI_DECORATORS = {"func", "kernel", "real_func", "pyfunc"}
 
@@ -128,7 +130,7 @@ def test_modules_import_only_from_lower_layers():
 
 
 def test_studies_import_only_the_public_interface():
-    packages = ("granflow.studies", "granflow.io.", "granflow.scene.schema.")
+    packages = ("granflow.studies", "granflow.io.", "granflow.scene.blocks.")
     internal = [
         f"{name} imports {target}"
         for name in modules()

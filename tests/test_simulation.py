@@ -7,7 +7,7 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import GranflowError, Simulation
-from granflow.particles.generate import initial_particles
+from granflow.particles.insertion import initial_particles
 
 
 def falling(**more):

@@ -21,9 +21,9 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from granflow import read_run
-from granflow.cli.examples import scene_paths
+from granflow.cli.run import scene_paths
 from granflow.fields import unit_of
-from granflow.io.log_reader import sessions
+from granflow.io.log import sessions
 from granflow.load import Scene, load
 
 ROOT = Path(__file__).resolve().parents[1]

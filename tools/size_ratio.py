@@ -15,7 +15,7 @@ import numpy as np
 
 from granflow.engine.checkpoint import restore_state, saved_state
 from granflow.load import Scene
-from granflow.plan import size_classes
+from granflow.plan import parts as size_classes
 from granflow.simulation import Simulation
 
 SMALLEST = 1e-3

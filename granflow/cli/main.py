@@ -9,25 +9,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from granflow.cli.accuracy import add_accuracy
-from granflow.cli.analyze import add_analyze
-from granflow.cli.beverloo import add_beverloo
-from granflow.cli.calibrate import add_calibrate
-from granflow.cli.compare import add_compare
-from granflow.cli.examples import add_example, add_examples
-from granflow.cli.explain import add_explain
-from granflow.cli.memory_limit import refuse_low_memory_limit
-from granflow.cli.messages import exit_code_of, print_error, print_refusal, say
-from granflow.cli.plot import add_plot
-from granflow.cli.render import add_render
-from granflow.cli.report import add_report
-from granflow.cli.resume import add_resume, resume
-from granflow.cli.scenes import add_cache, add_check, add_run, add_schema, run
-from granflow.cli.signals import stop_signals
-from granflow.cli.stability import add_stability
-from granflow.cli.streams import standard_streams
-from granflow.cli.studies import add_collide, add_fit, add_paper, add_restitution, add_validate
-from granflow.cli.sweep import add_sweep
+from granflow.cli.arguments import exit_code_of, print_error, print_refusal, say
+from granflow.cli.process import refuse_low_memory_limit, standard_streams, stop_signals
+from granflow.cli.run import (
+    add_cache,
+    add_check,
+    add_example,
+    add_examples,
+    add_explain,
+    add_resume,
+    add_run,
+    add_schema,
+    resume,
+    run,
+)
+from granflow.cli.show import add_analyze, add_plot, add_render, add_report
+from granflow.cli.studies import (
+    add_accuracy,
+    add_beverloo,
+    add_calibrate,
+    add_collide,
+    add_compare,
+    add_fit,
+    add_paper,
+    add_restitution,
+    add_stability,
+    add_sweep,
+    add_validate,
+)
 from granflow.errors import GranflowError
 from granflow.visible_text import visible
 

@@ -6,11 +6,322 @@ Equation numbers are those of Y. H. Zhou, Theor. Appl. Mech. Lett. 1, 041006 (20
 import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from granflow.cli.arguments import add_machine, add_out, add_scene_verb, add_verb, load, quantity
-from granflow.cli.messages import say, say_progress, show_comparison, show_table, write_study
+from granflow.cli.arguments import (
+    ARCHITECTURES,
+    add_machine,
+    add_out,
+    add_overrides,
+    add_scene_verb,
+    add_verb,
+    count,
+    exit_code_of,
+    load,
+    load_runnable,
+    print_error,
+    quantity,
+    say,
+    say_progress,
+    show_comparison,
+    show_table,
+    simulated_time,
+    thread_count,
+    write_study,
+)
+from granflow.cli.process import deferred_to_event
+from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError
+
+if TYPE_CHECKING:
+    from granflow.studies.calibration.results import CalibrationResult
+    from granflow.studies.run_pool import Progress, Workers
+
+
+# `granflow accuracy`: error against run time.
+#
+# Without a scene, collisions of two spheres are compared with exact solutions; with a scene, runs with
+# several time steps and seeds are compared with the finest time step.
+
+
+def accuracy(options: argparse.Namespace) -> int:
+    """`granflow accuracy`: measure error against run time, for binary collisions or for a scene.
+
+    Writes a page, CSV files and figures, prints a recommendation and returns 0. Raises GranflowError for a target
+    outside (0, 1), or for options that require a scene.
+    """
+    if not 0.0 < options.target < 1.0:
+        raise GranflowError(f"--target is {options.target:g}, but must be between 0 and 1, such as 0.01.")
+    return _binary_collisions(options) if options.scene is None else _scene(options)
+
+
+def _binary_collisions(options: argparse.Namespace) -> int:
+    """Measure head-on collisions of two spheres with all contact models, precisions and time steps.
+
+    Raises GranflowError for options that require a scene.
+    """
+    for given, name in (
+        (options.overrides, "--set"),
+        (options.until, "--until"),
+        (options.all_particles, "--all-particles"),
+    ):
+        if given:
+            raise GranflowError(f"{name} requires a SCENE, which is missing.")
+    from granflow.studies.accuracy.report import (
+        default_sentence,
+        measure_two_bodies,
+        table_heads,
+        table_rows,
+        write_two_bodies,
+    )
+
+    study = measure_two_bodies(options.target, options.full, say_progress)
+    show_table("error against run time", table_heads(options.target), table_rows(study.lines, options.target))
+    say(default_sentence(study.lines, options.target))
+    write_study(options.out or Path("out/accuracy"), write_two_bodies, study)
+    say(study.recommendation)
+    return 0
+
+
+def _scene(options: argparse.Namespace) -> int:
+    """Measure a scene; it is reduced to a run time of minutes unless --all-particles is given."""
+    from granflow.studies.accuracy.scene import (
+        KeptRuns,
+        SceneTask,
+        measure_scene,
+        noise_sentence,
+        reduced_counts,
+        scene_heads,
+        scene_recommendation,
+        scene_rows,
+        write_scene,
+    )
+
+    task = SceneTask(options.scene, tuple(options.overrides), options.until)
+    reductions = [] if options.all_particles else reduced_counts(task.scene())
+    if reductions:
+        say(f"Reduced scene for a run time of minutes: {', '.join(reductions)}; --all-particles runs the full scene.")
+    out = options.out or Path("out") / f"accuracy_{options.scene.stem}"
+    kept = out / "accuracy_runs.json"
+    try:
+        study = measure_scene(
+            task.with_overrides(*reductions), options.target, options.full, say_progress, kept=KeptRuns(kept)
+        )
+    except KeyboardInterrupt as stop:
+        remedy = "repeat the command to continue"
+        return print_error(f"stopped; the runs that have ended are in {kept}, {remedy}.", exit_code_of(stop))
+    show_table(study.title, scene_heads(study), scene_rows(study))
+    say(noise_sentence(study))
+    write_study(out, write_scene, study)
+    say(scene_recommendation(study))
+    return 0
+
+
+def add_accuracy(verbs: Any) -> None:
+    """Add `granflow accuracy` and its arguments."""
+    parser = add_verb(
+        verbs, accuracy, "measure error against run time for every contact model, precision and time step"
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", nargs="?", type=Path, help="scene to measure (default: binary collisions)")
+    add_out(parser, "out/accuracy or out/accuracy_SCENE")
+    add("--target", metavar="ERROR", type=float, default=0.01, help="target relative error (default: 0.01)")
+    add("--full", action="store_true", help="more time steps, repetitions and seeds, and a finer reference")
+    add("--all-particles", action="store_true", help="run the scene with all its particles, which may take hours")
+    add("--until", metavar="T", type=simulated_time, help="stop the scene at this simulated time")
+    add_overrides(parser, "override a value of the scene")
+
+
+# `granflow beverloo`: fits Beverloo's law of discharge to runs or tables.
+#
+# Each run or row gives the mass flow rate [kg/s] through one orifice [m].
+
+
+def beverloo(options: argparse.Namespace) -> int:
+    """`granflow beverloo`: fit C and k of Beverloo's law; from four orifices also with a free exponent.
+
+        W = C rho sqrt(g) d^2.5 (D/d - k)^n
+
+    W: mass flow rate [kg/s], rho: bulk density [kg/m3], D: orifice, d: particle diameter [m]; n = 5/2 or free. (W. A.
+    Beverloo et al., Chem. Eng. Sci. 15 (1961) 260.)
+    """
+    from granflow.studies.beverloo import beverloo_rows, fit_beverloo, read_discharges
+
+    data = read_discharges(options.paths)
+    given = (data, options.diameter, options.bulk_density, options.gravity)
+    fits, heads = [fit_beverloo(*given)], ["exponent 5/2"]
+    if len(set(data.orifice)) > len(("C", "k", "exponent")):
+        fits.append(fit_beverloo(*given, exponent=None))
+        heads.append("exponent free")
+    say("W = C rho sqrt(g) d^2.5 (D/d - k)^n")
+    show_table(f"{len(data.orifice)} flows", ("", *heads), beverloo_rows(fits))
+    return 0
+
+
+def add_beverloo(verbs: Any) -> None:
+    """Add `granflow beverloo` and its arguments."""
+    summary = "fit Beverloo's law to the flow rates of several runs, or of a table, with standard errors"
+    parser = add_verb(verbs, beverloo, summary)
+    add = parser.add_argument
+    sources = "runs whose flow meter has the radius of the orifice, or tables with the columns orifice and mass_flow"
+    add("paths", metavar="OUT|FILE.csv", type=Path, nargs="+", help=sources)
+    add("--diameter", required=True, type=quantity("length"), help="particle diameter, such as 5mm")
+    density = "bulk density of the bed, such as '1500 kg/m3'"
+    add("--bulk-density", required=True, type=quantity("density"), help=density)
+    acceleration = "gravitational acceleration (default: 9.81 m/s2)"
+    add("--gravity", type=quantity("acceleration"), default=9.81, help=acceleration)
+
+
+# `granflow calibrate`: determines parameters of scenes from measured targets.
+
+
+def calibrate(options: argparse.Namespace) -> int:
+    """`granflow calibrate`: carry out the trials that have not ended, and write best values, scenes and a page.
+
+    Returns 0 if the best trial meets all targets within their tolerances, 1 otherwise, and 130 or 143 after a stop
+    signal; the same command then continues the calibration.
+    """
+    from granflow.studies.calibration.calibrate import read_calibration, run_calibration
+
+    study = read_calibration(options.file)
+    out = options.out or Path("out") / study.name
+    with deferred_to_event() as (stop, signals):
+        result = run_calibration(study, out, options.jobs, options.threads, stop, lambda line: say(line, flush=True))
+    if signals and isinstance(signals[0], KeyboardInterrupt):
+        return print_error("stopped; repeat the command to continue the calibration.", exit_code_of(signals[0]))
+    if result is None:
+        return print_error("no trial was completed, so there are no best values; see trials.csv.", 1)
+    show_calibration(result)
+    say(f"Written to {out / 'best.csv'}; open {out / 'calibration.html'} in a browser.")
+    return 0 if result.is_met else 1
+
+
+def show_calibration(result: "CalibrationResult") -> None:
+    """Print best values and targets, parameters that cannot be identified, noise, and conflicts of targets."""
+    rows = [(each.name, *each.shown) for each in result.parameters]
+    show_table(
+        f"Best values, loss {result.loss:.4g}", ("", "best trial", "optimum of the fit", "standard deviation"), rows
+    )
+    targets = [(each.name, *each.shown, f"{each.deviation:.2g}") for each in result.targets]
+    show_table("Targets", ("", "measured", "simulated", "deviation / tolerance"), targets)
+    for sentence in result.remarks:
+        say(sentence)
+
+
+def add_calibrate(verbs: Any) -> None:
+    """Add `granflow calibrate` and its arguments."""
+    summary = "determine parameters of scenes from measured targets; repeat the command to continue"
+    parser = add_verb(verbs, calibrate, summary)
+    parser.add_argument("file", metavar="CALIBRATION.yaml", type=Path, help="calibration file")
+    add_out(parser, "out/CALIBRATION")
+    jobs = "simultaneous trials (default: cores / threads)"
+    parser.add_argument("--jobs", metavar="N", type=count, help=jobs)
+    threads = "CPU threads of each run (default: 1)"
+    parser.add_argument("--threads", metavar="T", type=thread_count, default=1, help=threads)
+
+
+# `granflow compare`: one scene with several normal contact models, side by side.
+#
+# All runs have the same seed and initial state; each contact model has its automatic time step.
+
+
+def compare(options: argparse.Namespace) -> int:
+    """`granflow compare`: run the scene with each contact model; print the table and assess linear springs.
+
+    One subdirectory of the output directory per run, one page for all. Runs of the same comparison that have ended are
+    not repeated, unless --overwrite is given. Raises GranflowError if the directory contains other runs, unless
+    --overwrite is given. Returns 130 or 143 after a stop signal; the same command then continues the comparison.
+    """
+    from granflow.studies.compare.runs import law_names
+
+    laws = law_names(options.laws)
+    scene = load_runnable(options)
+    out = options.out or Path("out") / f"{scene.path.stem}_compare"
+    from granflow.studies.compare.report import PAGE, as_text, compare, heads, notes_on, stage_note
+
+    def prepare(directory: Path) -> None:
+        prepare_output(directory, scene, options.overwrite)
+
+    try:
+        found = compare(
+            scene, laws, out, options.arch, options.reference_velocity, options.until, options.full,
+            say_progress, prepare, options.overwrite,
+        )  # fmt: skip
+    except KeyboardInterrupt as stop:
+        remedy = "repeat the command to continue"
+        return print_error(f"stopped; the runs that have ended are kept in {out}, {remedy}.", exit_code_of(stop))
+    show_table(scene.title, heads(found.runs, is_short=True), as_text(found.rows))
+    for note in (stage_note(found), *notes_on(found)):
+        say(note)
+    for assessment in found.assessments:
+        say(f"{assessment.part}: {assessment.conclusion}. {assessment.why}")
+    say(f"Open {out / PAGE} in a browser, and {out / 'side_by_side.py'} in ParaView (File > Load State).")
+    return 0
+
+
+LAWS = (
+    "contact models, separated by commas (default: zhou,linear,hertz); linear is run twice: with a spring stiffness "
+    "computed from the impact velocity of each contact, and from --reference-velocity"
+)
+REFERENCE_VELOCITY = (
+    "impact velocity for which constant parameters are computed, such as the spring stiffness of the second linear run "
+    "(default: a tenth of the largest expected impact velocity)"
+)
+"""Help texts of --laws and --reference-velocity."""
+
+
+def add_compare(verbs: Any) -> None:
+    """Add `granflow compare` and its arguments."""
+    summary = "run the same scene with several contact models and compare the results on one page"
+    parser = add_scene_verb(verbs, compare, summary)
+    add = parser.add_argument
+    add("--laws", default="zhou,linear,hertz", help=LAWS)
+    add_out(parser, "out/SCENE_compare")
+    add("--reference-velocity", metavar="V", type=quantity("velocity"), help=REFERENCE_VELOCITY)
+    add("--until", metavar="T", type=simulated_time, help="stop each run at this simulated time")
+    add("--full", action="store_true", help="use all particles (default: at most 4000)")
+    add(
+        "--overwrite",
+        action="store_true",
+        help="replace other runs in the same directory, and repeat those that have ended",
+    )
+    add_machine(parser)
+
+
+# `granflow stability`: stiff and extreme cases, each with an assessment.
+#
+# A case is accurate, stable with a reported error, refused with a message, or a defect.
+
+
+def stability(options: argparse.Namespace) -> int:
+    """`granflow stability`: run all cases; return 1 if any of them is a defect.
+
+    Writes a page, `stability.csv` and a heat map to the output directory.
+    """
+    from granflow.studies.stability.report import HEADS, PAGE, defects, headline, summary_rows
+    from granflow.studies.stability.report import stability as study
+
+    out = options.out or Path("out/stability")
+    outcomes, missing = study(
+        out, options.full, lambda each: say(f"{each.row}, {each.column}: {each.assessment}", flush=True)
+    )
+    show_table("Stiff and extreme cases", HEADS, summary_rows(outcomes))
+    defects_found = defects(outcomes)
+    for line in filter(None, (headline(outcomes), *defects_found, missing)):
+        say(line)
+    say(f"Open {out / PAGE} in a browser; each case is a row of stability.csv in the same directory.")
+    return 1 if defects_found else 0
+
+
+def add_stability(verbs: Any) -> None:
+    """Add `granflow stability` and its arguments."""
+    summary = "run stiff and extreme cases, assess each, and measure the stability limit of the time step"
+    parser = add_verb(verbs, stability, summary)
+    add_out(parser, "out/stability")
+    parser.add_argument(
+        "--full", action="store_true",
+        help="run all Young's moduli, particle radii and radius ratios (default: about half of them)",
+    )  # fmt: skip
 
 
 def collide(options: argparse.Namespace) -> int:
@@ -53,8 +364,7 @@ def fit(options: argparse.Namespace) -> int:
     overwrite the data, or if the data are invalid.
     """
     from granflow.studies.fit import fit as fitted
-    from granflow.studies.fit import fit_rows, limit_from_materials, write_fit
-    from granflow.studies.measurements import read_measurements
+    from granflow.studies.fit import fit_rows, limit_from_materials, read_measurements, write_fit
 
     out = options.out or Path("out") / options.data.stem
     if options.data.resolve() == (out / "fit.csv").resolve():
@@ -169,3 +479,72 @@ def add_validate(verbs: Any) -> None:
     both = "run LIGGGHTS (liggghts) and LAMMPS (lmp), as far as installed, for about 25 minutes more"
     extent.add_argument("--peers", action="store_true", help=both)
     add_out(parser, "out/validation")
+
+
+# `granflow sweep`: runs a scene for many parameter values.
+
+BATCH_SYSTEMS = ("slurm", "pbs", "lsf", "sge")
+"""Batch systems that can run the workers."""
+
+
+def sweep(options: argparse.Namespace) -> int:
+    """`granflow sweep`: carry out the runs of a sweep that have not ended, and write tables and a page.
+
+    Returns 0 if all runs are done and meet their expectations, 1 otherwise, and 130 or 143 after a stop signal; the
+    same command then continues the sweep.
+    """
+    from granflow.studies.sweep.sweep import SweepStopped, read_sweep, run_sweep
+
+    study = read_sweep(options.file)
+    out = options.out or Path("out") / study.name
+    with deferred_to_event() as (stop, signals):
+        try:
+            table = run_sweep(study, out, workers_of(options), options.arch, stop, say_run, say_progress)
+        except SweepStopped as error:
+            return print_error(str(error), exit_code_of(signals[0]))
+    if signals:
+        remedy = "repeating the command continues it"
+        return print_error(
+            f"stopped; {out / 'sweep.csv'} has the completed runs, and {remedy}.", exit_code_of(signals[0])
+        )
+    statuses = [row.outcome.status for row in table.rows]
+    show_table(
+        f"{len(statuses)} points", ("status", "points"), [(s, str(statuses.count(s))) for s in dict.fromkeys(statuses)]
+    )
+    for reason in dict.fromkeys(row.outcome.reason for row in table.rows if row.outcome.reason):
+        say(reason)
+    warned = [row for row in table.rows if row.warnings]
+    if warned:
+        say(f"{len(warned)} of {len(statuses)} points have warnings, see sweep.csv; the first: {warned[0].warnings}")
+    say(f"Written to {out / 'sweep.csv'}; open {out / 'sweep.html'} in a browser.")
+    return 0 if table.is_complete else 1
+
+
+def say_run(progress: "Progress", event: str) -> None:
+    """Print the progress, and the parameter values and status of a run that has ended."""
+    say(f"{progress}{event and '; '}{event}", flush=True)
+
+
+def workers_of(options: argparse.Namespace) -> "Workers":
+    """The workers that the options select."""
+    from granflow.studies.run_pool import Workers
+
+    batch = next(((name, getattr(options, name)) for name in BATCH_SYSTEMS if getattr(options, name)), None)
+    return Workers(options.jobs, options.threads, options.scheduler, options.scheduler_file, batch)
+
+
+def add_sweep(verbs: Any) -> None:
+    """Add `granflow sweep` and its arguments."""
+    parser = add_verb(verbs, sweep, "run a scene for many parameter values; repeat the command to continue")
+    parser.add_argument("file", metavar="SWEEP.yaml", type=Path, help="sweep file")
+    add_out(parser, "out/SWEEP")
+    add = parser.add_argument
+    add("--jobs", metavar="N", type=count, help="simultaneous runs (default: cores / threads, or those of the workers)")
+    add("--threads", metavar="T", type=thread_count, default=1, help="CPU threads of each run (default: 1)")
+    add("--arch", choices=ARCHITECTURES, default="cpu", help="compute device or backend (default: cpu)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://10.0.0.1:8786")
+    where.add_argument("--scheduler-file", metavar="FILE", type=Path, help="file with the address of a Dask scheduler")
+    for name in BATCH_SYSTEMS:
+        text = f"start workers as {name.upper()} jobs with this profile"
+        where.add_argument(f"--{name}", metavar="PROFILE.yaml", type=Path, help=text)

@@ -12,12 +12,15 @@ Tangential and rolling laws read more, see `surface_law`.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, TypeAlias
 
+import numpy as np
+
+from granflow.contact import theory
 from granflow.contact.material import PairMaterial
-from granflow.device_functions import DeviceObject, is_from_outside
+from granflow.device_functions import DeviceObject, is_from_outside, ti
 
 
 @dataclass(frozen=True)
@@ -169,3 +172,517 @@ def _kind(value: Any) -> str:
     if hasattr(value, "is_tensor") and value.is_tensor():
         return "vector" if tuple(value.get_shape()) == (3,) else "matrix"
     return "number"
+
+
+# Interface of the cohesion models.
+
+
+@dataclass(frozen=True)
+class CohesionLaw(Law):
+    """A cohesion model: an attraction in addition to any normal model; it does not press the surfaces together.
+
+    `force` has no branch, as for a normal model. A model that acts at a distance also gets negative overlaps, down to
+    minus its `range`; its first history field is above 0 as long as the contact keeps its history without overlap.
+    """
+
+    required = ("force",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "force": ("number", "history")}
+    at_distance: ClassVar[bool] = False
+    """True for a model that acts without overlap, such as a liquid bridge."""
+    transfers_liquid: ClassVar[bool] = False
+    """True for a model whose bridges take liquid from films on the particles; `form` gets the volume of a new one."""
+
+    @property
+    def range(self) -> float:
+        """Largest distance [m] between the surfaces at which the model acts; 0 for a model that requires overlap."""
+        return 0.0
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The range of a model that acts at a distance; the engine reads it on the device."""
+        return {"range": self.range} if self.at_distance else {}
+
+    def pull_off_force(self, pair: PairMaterial, radius_eff: float) -> float | None:
+        """Force [N] that separates a pair at rest; None if it depends on the load."""
+        return None
+
+    def equivalent_velocity(self, pair: PairMaterial, radius_eff: float, mass_eff: float) -> float:
+        """Impact velocity [m/s] at which a Hertz contact is as stiff as the cohesive contact at rest.
+
+        By default that of a contact that the pull-off force F presses together: a^3 = 3 F R / (4 E).
+        """
+        force = self.pull_off_force(pair, radius_eff) or 0.0
+        contact_radius = float(np.cbrt(0.75 * force * radius_eff / pair.modulus_eff))
+        return theory.velocity_for_radius(pair.modulus_eff, radius_eff, mass_eff, contact_radius)
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Attraction [N], positive, and the history."""
+
+    @ti.func
+    def form(self, constants, contact, history, volume):
+        """The history after a bridge of a volume [m3] has formed; its first field is the volume of the bridge."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]; negative for an attraction."""
+        return 0.0 * contact.overlap
+
+    @ti.func
+    def lost_energy(self, constants, contact, history):
+        """Dissipated energy [J] that is a function of the history alone; of an open contact at minus the range."""
+        return 0.0 * contact.overlap
+
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force`: attraction [N] and the changed history fields."""
+        raise NotImplementedError
+
+
+# Interface of the normal contact models.
+
+
+@dataclass(frozen=True)
+class NormalLaw(Law):
+    """A normal contact model.
+
+    The first two constants are the effective moduli E and G [Pa]. The first history field is positive from the first
+    step of a contact on. Closed forms describe a binary collision of a pair at an approach velocity [m/s] with the
+    effective radius [m] and mass [kg].
+    """
+
+    required = ("force", "stored_energy", "phase_durations", "unloading_stiffness")
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("number", "number", "history"),
+        "prepare": ("history",),
+        **dict.fromkeys(("tangential_stiffness", "damping", "attraction"), ("number",)),
+    }
+    constant_names: ClassVar[tuple[str, ...]] = ("modulus_eff", "shear_modulus_eff")
+    tangential_stiffness_grows: ClassVar[bool] = True
+    """True if the tangential stiffness is proportional to the square root of the overlap."""
+    branch_free: ClassVar[bool] = True
+    """True if `force` has no branch, so that contacts can be evaluated in SIMD batches. Other models use full
+    neighbor lists."""
+    has_dashpot: ClassVar[bool] = False
+    """True for a model with `damping`."""
+    limits_restitution: ClassVar[bool] = False
+    """True for a model that bounds its unloading tangent by the time step, see `least_restitution`."""
+
+    @property
+    def softer_after_slow_onset(self) -> bool:
+        """Whether a contact that begins slowly remains softer than a Hertz contact when it is loaded later."""
+        return False
+
+    def pair_constants(self, pair: PairMaterial) -> tuple[float, ...]:
+        """Values of `constant_names`: the effective moduli [Pa], by default followed by pair options.
+
+        Raises ValueError for a pair that the model does not support.
+        """
+        options = (pair.options[name] for name in self.constant_names[2:])
+        return pair.modulus_eff, pair.shear_modulus_eff, *options
+
+    @property
+    def unloading_angle(self) -> float:
+        """theta of a model that bounds its unloading tangent by theta^2 M/dt^2; 0: no such bound."""
+        return 0.0
+
+    @property
+    def reloading_damping(self) -> float:
+        """Damping ratio, with the unloading tangent, of contacts that are compressed again without having separated."""
+        return 0.0
+
+    def unloading_number(self, pair: PairMaterial) -> float:
+        """Largest K dt^2/M + 2 c dt/M of a bounded unloading tangent K and its damping c, by default theta^2."""
+        return self.unloading_angle**2
+
+    def unresolved_unloading(self, pair: PairMaterial) -> float:
+        """If the ratio of unloading to loading duration is below this value, the time step need not resolve unloading.
+
+        The model then bounds its own tangent.
+        """
+        return 0.0
+
+    @property
+    def rate_dependent(self) -> bool:
+        """Whether the force depends on the overlap rate at the time level."""
+        return False
+
+    @property
+    def attracts(self) -> bool:
+        """Whether the force can be attractive."""
+        return False
+
+    @property
+    def prepares(self) -> bool:
+        """Whether `prepare` changes the history."""
+        return False
+
+    @ti.func
+    def prepare(self, constants, contact, history):
+        """History after rare operations with branches, such as the initialization of a contact.
+
+        Evaluated before `force`, so that `force` remains branch-free arithmetic that the compiler can vectorize over
+        contacts.
+        """
+        return history
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Normal force [N], its viscous part [N], and the history."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+
+    @ti.func
+    def lost_energy(self, constants, contact, history):
+        """Dissipated energy [J] that is a function of the history alone (plastic work)."""
+        return 0.0 * contact.overlap
+
+    @ti.func
+    def tangential_stiffness(self, constants, contact, history):
+        """No-slip stiffness of a Hertz contact [N/m] (Mindlin 1949).
+
+        kt = 8 G sqrt(R d)
+        """
+        return 8.0 * constants.shear_modulus_eff * ti.sqrt(contact.radius_eff * contact.overlap)
+
+    @ti.func
+    def damping(self, constants, contact, history):
+        """Ratio of the viscous force to the overlap rate at the present overlap [N s/m]."""
+        return 0.0 * contact.overlap
+
+    @ti.func
+    def attraction(self, constants, contact, history):
+        """Attractive part of `force` [N] that does not press the surfaces together."""
+        return 0.0 * contact.overlap
+
+    def reference(self, contact: ContactState) -> tuple[float, Mapping[str, float]]:
+        """Reference implementation of `force`: normal force [N] and the changed history fields.
+
+        In numpy, written from the publication and not from the kernel.
+        """
+        raise NotImplementedError
+
+    def reference_force(
+        self,
+        constants: np.ndarray,
+        radius_eff: float,
+        mass_eff: float,
+        time_step: float,
+        overlap: float,
+        overlap_rate: float,
+        history: np.ndarray,
+    ) -> tuple[float, np.ndarray]:
+        """Normal force [N] and history from the reference implementation, with constants and history as arrays."""
+        named = SimpleNamespace(**dict(zip(self.constant_names, constants, strict=False)))
+        before = dict(zip(self.history_names, history, strict=False))
+        state = ContactState(named, radius_eff, mass_eff, time_step, overlap, overlap_rate, SimpleNamespace(**before))
+        force, changed = self.reference(state)
+        return float(force), np.array(list((before | dict(changed)).values()) or history)
+
+    def phase_durations(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float
+    ) -> tuple[float, float]:
+        """Loading and unloading durations [s]."""
+        raise NotImplementedError
+
+    def unloading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Largest tangent stiffness [N/m] in a binary collision."""
+        raise NotImplementedError
+
+    def stable_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Tangent stiffness [N/m] at the maximum overlap of a confined particle; it bounds the time step."""
+        return self.unloading_stiffness(pair, radius_eff, mass_eff, velocity)
+
+    def loading_stiffness(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Normal tangent stiffness [N/m] at the maximum overlap; 4 G/E times it is the tangential stiffness."""
+        return self.stable_stiffness(pair, radius_eff, mass_eff, velocity)
+
+    def overlap_max(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Maximum overlap [m]; by default that of Hertz loading (Zhou 2011, Eq. 5)."""
+        k = theory.hertz_stiffness(pair.modulus_eff, radius_eff)
+        return float(theory.overlap_max(k, mass_eff, velocity))
+
+    def viscosity(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Ratio of viscous force to overlap rate at the maximum overlap of a collision [N s/m]."""
+        return 0.0
+
+    def present_response(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
+    ) -> tuple[float, float]:
+        """Largest tangent stiffness [N/m] and viscosity [N s/m] at the maximum overlap, loading or unloading.
+
+        A servo wall, which reacts to the force, must react more slowly than these change the force. A contact of the
+        restitution 0 stops the particle in one step: M/dt.
+        """
+        arguments, rate = (pair, radius_eff, mass_eff, velocity), mass_eff / time_step
+        stiffness = self.unloading_stiffness(*arguments)
+        if self.limits_restitution:
+            stiffness = min(stiffness, self.unloading_angle**2 * rate / time_step)
+        at_rest = 2.0 * self.reloading_damping * float(np.sqrt(stiffness * mass_eff))
+        return stiffness, rate if pair.restitution == 0.0 else max(self.viscosity(*arguments), at_rest)
+
+    def restitution(self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float) -> float:
+        """Restitution at a time step that resolves the collision; by default that of the pair.
+
+        Raises ValueError if the pair has none.
+        """
+        return pair.restitution_at(velocity)
+
+    def least_restitution(
+        self, pair: PairMaterial, radius_eff: float, mass_eff: float, velocity: float, time_step: float
+    ) -> float:
+        """Smallest restitution that a collision can reach at a time step [s]."""
+        return 0.0
+
+
+# Declared options of contact models: keys of a model in a scene, from which the schema and its messages
+# derive.
+
+
+@dataclass(frozen=True)
+class Amount:
+    """An option that is one number, in SI units or with a unit; required if it has no default.
+
+    description:  meaning, for the schema and the documentation
+    example:      value with unit, for messages
+    dimension:    "number" if dimensionless (the default), "length", "velocity", "stiffness", ...: the keys of
+                  `granflow.units.DIMENSIONS`, which a wrong one lists
+    noun:         noun with article, for messages
+    limits:       `above`, `at_least`, `at_most`, in SI units; None: no limit
+    default:      value if the option is omitted
+    """
+
+    description: str
+    example: str
+    dimension: str = "number"
+    noun: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    default: float | None = None
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An option that is one of `words`, or a mapping with one key of `keyed`: onset, {value: 1e4 N/m}.
+
+    default:       word if the option is omitted; None: the option is required
+    with_numbers:  word used in place of the default if the restitution of every pair is a number
+    """
+
+    description: str
+    words: tuple[str, ...]
+    keyed: Mapping[str, Amount] = field(default_factory=dict)
+    default: str | None = None
+    with_numbers: str | None = None
+
+
+Option: TypeAlias = Amount | Choice
+
+
+@dataclass(frozen=True)
+class PairOption:
+    """A key of `pairs` that a contact model requires; the model is compiled only if a pair has a value other than 0.
+
+    key:     name of the key
+    amount:  meaning and limits of the value, which has no default
+    remedy:  what to write, for the message on a missing key
+    """
+
+    key: str
+    amount: Amount
+    remedy: str = "give a value, or 0"
+
+
+FRICTION = PairOption("friction", Amount("Coulomb friction coefficient; 0 for no friction", "0.5"))
+"""Sliding friction, which every pair has, for every tangential model."""
+ROLLING_FRICTION = PairOption(
+    "rolling_friction",
+    Amount("rolling friction coefficient", "0.1", noun="a friction coefficient", at_least=0),
+    "give the coefficient, or 0 to disable rolling friction",
+)
+"""Rolling friction, shared by the rolling models."""
+WORK_OF_ADHESION = PairOption(
+    "work_of_adhesion",
+    Amount(
+        "work of adhesion w [J/m2]: energy per area that separates the two surfaces; twice the surface energy of equal "
+        "materials",
+        *("50 mJ/m2", "surface_energy", "a work of adhesion"),
+        at_least=0,
+    ),
+    "give it in J/m2, or 0 to disable cohesion",
+)
+"""Work of adhesion, shared by the models of dry adhesion."""
+
+
+# Interfaces of tangential, rolling and twisting models.
+#
+# In addition to the members of `contact` for all models, see `law`, the struct has for the first particle
+# of the pair:
+#
+#     normal, normal_half  unit normal n toward the first particle now, and normal p at the half step, the time of the
+#                          velocities, divided by its component along n: p . n = 1
+#     normal_load          force [N] that presses the surfaces together: normal force without attraction
+#     stiffness            no-slip tangential stiffness [N/m]
+#     stiffness_ratio      ratio of the previous to the present stiffness
+#     slip, slip_rate      relative tangential displacement in this step [m], and velocity [m/s], in the present contact
+#                          plane; tangential laws
+#     normal_damping       dashpot coefficient of the normal model [N s/m]; damped tangential and twisting laws
+#     rolling_rate         relative angular velocity [rad/s] at the half step; rolling and twisting laws
+#     inertia_eff          effective moment of inertia [kg m2]; rolling laws
+#     longest_time_step    longest time step of the run [s]; rolling laws
+#
+# A law that integrates a rate over the step takes its components with p: along the normal
+# `rate.dot(normal_half)`, in the contact plane `in_contact_plane(rate, normal, normal_half)`. The normal n
+# is half a step later than the rate, so that a part of the rotation of the pair would be integrated as
+# slip, rolling or twist.
+
+SurfaceState: TypeAlias = SimpleNamespace
+"""Arguments of a reference implementation: the members of `contact`, and `constants` and `history` by name."""
+
+
+@ti.func
+def in_contact_plane(vector, normal, normal_half):
+    """Component of a vector in the contact plane at the half step, rotated with the plane to the present one.
+
+        u - (u . n) p
+
+    The rotation from the plane at the half step, whose normal is p, to that of n is a projection along p, with a
+    relative error of the square of the angle between them; the component along p vanishes in it as well.
+    """
+    return vector - vector.dot(normal) * normal_half
+
+
+def reference_in_contact_plane(vector: np.ndarray, contact: SurfaceState) -> np.ndarray:
+    """Reference implementation of `in_contact_plane` in numpy."""
+    return vector - np.vdot(vector, contact.normal) * contact.normal_half
+
+
+@dataclass(frozen=True)
+class TangentialLaw(Law):
+    """A tangential contact model. An option `stiffness` [N/m] replaces that of the normal model in the time step."""
+
+    required = ("force", "present_force", "limit")
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **Law.returns,
+        "force": ("vector", "history", "number"),
+        "present_force": ("vector", "number"),
+        "limit": ("number",),
+    }
+
+    @property
+    def damped(self) -> bool:
+        """Whether `force` reads `normal_damping`."""
+        return False
+
+    @ti.func
+    def force(self, constants, contact, history):
+        """Tangential force [N] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `force`: tangential force [N] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+    @ti.func
+    def present_force(self, constants, contact, history):
+        """Tangential force [N] that the history alone gives, and its size [N]; for contact output."""
+
+    @ti.func
+    def limit(self, constants, contact):
+        """Largest tangential force [N]."""
+
+
+@dataclass(frozen=True)
+class TorqueLaw(Law):
+    """A model of torques on the first particle of a pair; the opposite torques act on the second."""
+
+    required = ("torque",)
+    returns: ClassVar[Mapping[str, tuple[str, ...]]] = {**Law.returns, "torque": ("vector", "history", "number")}
+
+    @ti.func
+    def torque(self, constants, contact, history):
+        """Torque [N m] on the first particle, the history, and the energy dissipated in this step [J]."""
+
+    def reference(self, contact: SurfaceState) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Reference implementation of `torque`: torque [N m] (3,) and the changed history fields."""
+        raise NotImplementedError
+
+    @ti.func
+    def stored_energy(self, constants, contact, history):
+        """Recoverable energy [J]."""
+        return 0.0 * contact.stiffness
+
+
+@dataclass(frozen=True)
+class RollingLaw(TorqueLaw):
+    """A rolling model."""
+
+
+@dataclass(frozen=True)
+class TwistingLaw(TorqueLaw):
+    """A twisting model, with torques about the normal.
+
+    It reads `history` and `contact` for its stored energy, of which only `overlap`, `radius_eff`, `mass_eff` and
+    `stiffness` are known.
+    """
+
+    @property
+    def damped(self) -> bool:
+        """Whether `torque` reads `normal_damping`."""
+        return False
+
+
+# Record of a contact model: what a scene, the schema, messages and documentation derive from it.
+
+RestitutionInput: TypeAlias = Literal["number or fit", "positive number", "nothing"]
+"""Form of `restitution` that a model requires of a pair; "nothing" if restitution follows from the materials."""
+SLOTS: Mapping[str, type[Law]] = {
+    "normal": NormalLaw,
+    "tangential": TangentialLaw,
+    "rolling": RollingLaw,
+    "twisting": TwistingLaw,
+    "cohesion": CohesionLaw,
+}
+"""Keys of `contact`, in the order of evaluation, and the base class of the models of each."""
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """A contact model of one slot, declared in one file.
+
+    law:           class with the functions of the model and its `name`, `source` and `limits`
+    summary:       description in one sentence
+    options:       keys of the model in `contact`, in addition to its name
+    pair_options:  keys of `pairs` that the model requires
+    restitution:   form of the restitution that a normal model requires of a pair
+    example:       options of a common variant, for studies of single collisions; given if options are required
+    """
+
+    law: type[Law]
+    summary: str
+    options: Mapping[str, Option] = field(default_factory=dict)
+    pair_options: tuple[PairOption, ...] = ()
+    restitution: RestitutionInput = "positive number"
+    example: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Value of the slot in `contact`."""
+        return self.law.name
+
+    @property
+    def slot(self) -> str:
+        """Key of `contact` that selects the model."""
+        return next(slot for slot, base in SLOTS.items() if issubclass(self.law, base))
+
+    @property
+    def needs_options(self) -> bool:
+        """Whether a scene requires options in addition to the name of the model."""
+        return any(option.default is None for option in self.options.values())

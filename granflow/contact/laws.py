@@ -3,11 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import HistoryField, Law
+from granflow.contact.law import CohesionLaw, HistoryField, Law, NormalLaw, RollingLaw, TangentialLaw, TwistingLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,8 @@ import re
 from collections.abc import Iterator, Mapping
 
 from granflow.contact.cohesion import capillary, capillary_transfer, dmt, jkr, sjkr, van_der_waals
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.model import SLOTS, ContactModel
+from granflow.contact.law import SLOTS, CohesionLaw, ContactModel, PairOption
 from granflow.contact.normal import hertz, kuwabara_kono, linear, luding, thornton, walton_braun, zhou
-from granflow.contact.options import PairOption
 from granflow.contact.rolling import cdt, epsd, sds, viscous
 from granflow.contact.tangential import linear_history, mindlin
 from granflow.contact.twisting import marshall, torsion_spring

@@ -1,32 +1,383 @@
 """Starts and restarts Taichi with architecture, precision and threads. No other module does."""
 
 import atexit
+import ctypes
 import logging
 import os
+import re
 import shutil
+import sys
+import tempfile
 import threading
+import time
 from collections.abc import Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
+from weakref import WeakSet
 
-from granflow.engine import foreign_fields
 from granflow.engine.compilation import guarded, in_context
-from granflow.engine.kernel_cache import TEMPORARY, cache_folder, usable_folder
-from granflow.engine.vulkan_devices import MESA_MINIMUM, VulkanDevice, used_device, vulkan_devices
 from granflow.errors import GranflowError
-from granflow.io.machine import worker_count
+from granflow.io.machine import free_gpu_memory, worker_count
 from granflow.kernel_language import KERNELS, VARIABLE, ti
+from granflow.kernel_language import KERNELS as LANGUAGE
+
+# Fields and arrays that a user's program has made with Taichi: a restart of Taichi would destroy them.
+
+_own: "WeakSet[Any]" = WeakSet()
+_found = False
+
+
+def new_builder() -> Any:
+    """A builder of fields of granflow."""
+    builder = ti.FieldsBuilder()
+    _own.add(builder)
+    return builder
+
+
+def found() -> bool:
+    """Whether the program has allocated fields or arrays since the first start, or declared fields."""
+    return _found or not ti.root.empty
+
+
+def watch() -> None:
+    """Notice fields and arrays that are allocated from now on; once per process."""
+    builder, program = ti.FieldsBuilder, ti._lib.core.Program
+    builder._finalize = _watched_builder(builder._finalize)
+    program.create_ndarray = _watched(program.create_ndarray)
+
+
+def _watched_builder(finalize: Any) -> Any:
+    def finalize_builder(builder: Any, *arguments: Any, **options: Any) -> Any:
+        global _found
+        _found |= builder not in _own and not builder.empty
+        return finalize(builder, *arguments, **options)
+
+    return finalize_builder
+
+
+def _watched(create: Any) -> Any:
+    def create_array(*arguments: Any, **options: Any) -> Any:
+        global _found
+        _found = True
+        return create(*arguments, **options)
+
+    return create_array
+
+
+# The folder that keeps compiled kernels between runs, for fast later starts. File operations only, no
+# Taichi.
+
+CACHE_VARIABLE = "GRANFLOW_CACHE"
+"""Environment variable with the path of the folder."""
+PATTERNS = {"taichi": "*.tic", "quadrants": "kernel_compilation_manager/*.qdc"}
+"""Pattern of the paths of compiled kernels in the folder, by kernel language."""
+CACHED_KERNELS = PATTERNS[LANGUAGE]
+"""Pattern of the kernel language in use."""
+INDEXES = {"taichi": "ticache.tcb", "quadrants": "kernel_compilation_manager/qdcache.qdb"}
+LOCKS = {"taichi": "ticache.lock", "quadrants": "kernel_compilation_manager/qdcache.lock"}
+"""Paths of the index and of the lock of the cache in the folder, by kernel language."""
+TEMPORARY = "granflow_kernels_"
+"""Prefix of a temporary folder for one process, deleted at its end."""
+STALE_LOCK = 60.0
+"""Age [s] of an abandoned lock. Taichi holds its lock briefly; the lock of a killed process would disable the cache."""
+
+
+@dataclass(frozen=True)
+class CacheContents:
+    """Contents of the cache folder: number of kernels, and size [bytes] of all files."""
+
+    kernel_count: int
+    size: int
+
+
+def cache_folder() -> Path:
+    """The folder in GRANFLOW_CACHE as an absolute path, or granflow/kernels in the cache folder of the platform."""
+    named = os.environ.get(CACHE_VARIABLE)
+    if named:
+        return Path(named).expanduser().absolute()
+    from platformdirs import user_cache_path
+
+    return user_cache_path("granflow", appauthor=False, opinion=False) / "kernels"
+
+
+def usable_folder() -> Path:
+    """The cache folder, created if necessary. If it is not writable: a warning, and a temporary folder.
+
+    The caller deletes a temporary folder, whose name begins with TEMPORARY. A lock older than STALE_LOCK is removed.
+
+    Taichi without any cache folder crashes at the end of a process that has compiled many kernels (SIGSEGV).
+    """
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        logging.getLogger("granflow").warning(
+            "granflow: %s cannot be written, so kernels are compiled again in every run. Set %s to another folder.",
+            folder, CACHE_VARIABLE,
+        )  # fmt: skip
+        return Path(tempfile.mkdtemp(prefix=TEMPORARY))
+    with suppress(OSError):
+        lock = folder / LOCKS[LANGUAGE]
+        if time.time() - lock.stat().st_mtime > STALE_LOCK:
+            lock.unlink()
+    return folder
+
+
+def cache_contents() -> CacheContents:
+    """Number of kernels and size of the folder; zeros without a folder."""
+    files = _files()
+    return CacheContents(sum(any(map(path.match, PATTERNS.values())) for path in files), sum(map(_size, files)))
+
+
+def clear_cache() -> CacheContents:
+    """Delete the files of both kernel languages in the folder and no others; returns their number and size."""
+    removed = cache_contents()
+    for path in _files():
+        path.unlink(missing_ok=True)
+    return removed
+
+
+def _files() -> list[Path]:
+    """Files of both kernel languages in the cache folder."""
+    folder = cache_folder()
+    kernels = [path for pattern in PATTERNS.values() for path in folder.glob(pattern)]
+    others = [folder / name for name in (*INDEXES.values(), *LOCKS.values())]
+    return [*kernels, *(path for path in others if path.exists())]
+
+
+def _size(path: Path) -> int:
+    """Size of a file [bytes]; 0 if it does not exist."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # another process has deleted it
+        return 0
+
+
+# Vulkan devices and drivers of this machine, read through the Vulkan loader.
+
+MESA_MINIMUM = (25, 0)
+"""First version of Mesa with a correct llvmpipe; 22.3 skips statements after an inner loop with two atomics."""
+CPU_TYPE = 4
+"""VkPhysicalDeviceType of a device that is a CPU."""
+API_VERSION = 1 << 22 | 1 << 12
+"""Vulkan 1.1, as VK_MAKE_API_VERSION."""
+FEATURE_COUNT, FLOAT64, INT64 = 55, 39, 40
+"""Number of entries of VkPhysicalDeviceFeatures, and indices of shaderFloat64 and shaderInt64."""
+INSTANCE_INFO, PROPERTIES_2, MEMORY_2, LIMITS, DRIVER_PROPERTIES, BUDGET = (
+    *(1, 1000059001, 1000059006, 1000168000, 1000196000),
+    1000237000,
+)
+"""VkStructureType of the structures."""
+MEMORY_TYPES, MEMORY_HEAPS, DEVICE_LOCAL = 32, 16, 1
+"""Lengths of the arrays of VkPhysicalDeviceMemoryProperties, and flag of a heap in the memory of the device."""
+ADDRESSED = 2**32
+"""Largest buffer [bytes]: kernels address the fields of a run, which are in one buffer, with 32 bits."""
+
+
+class _ApplicationInfo(ctypes.Structure):
+    """VkApplicationInfo."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("name", ctypes.c_char_p),
+        ("version", ctypes.c_uint32),
+        ("engine", ctypes.c_char_p),
+        ("engine_version", ctypes.c_uint32),
+        ("api", ctypes.c_uint32),
+    )
+
+
+class _InstanceInfo(ctypes.Structure):
+    """VkInstanceCreateInfo."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("flags", ctypes.c_uint32),
+        ("application", ctypes.POINTER(_ApplicationInfo)),
+        ("layer_count", ctypes.c_uint32),
+        ("layers", ctypes.c_void_p),
+        ("extension_count", ctypes.c_uint32),
+        ("extensions", ctypes.c_void_p),
+    )
+
+
+class _Driver(ctypes.Structure):
+    """VkPhysicalDeviceDriverProperties."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("id", ctypes.c_int32),
+        ("name", ctypes.c_char * 256),
+        ("info", ctypes.c_char * 256),
+        ("conformance", ctypes.c_uint8 * 4),
+    )
+
+
+class _Properties(ctypes.Structure):
+    """VkPhysicalDeviceProperties2; `rest` is longer than the remaining members."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        *((name, ctypes.c_uint32) for name in ("api", "driver_version", "vendor", "device", "type")),
+        ("name", ctypes.c_char * 256),
+        ("rest", ctypes.c_char * 4096),
+    )
+
+
+class _Limits(ctypes.Structure):
+    """VkPhysicalDeviceMaintenance3Properties."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("descriptors", ctypes.c_uint32),
+        ("allocation", ctypes.c_uint64),
+    )
+
+
+class _Heap(ctypes.Structure):
+    """VkMemoryHeap."""
+
+    _fields_ = (("size", ctypes.c_uint64), ("flags", ctypes.c_uint32))
+
+
+class _Memory(ctypes.Structure):
+    """VkPhysicalDeviceMemoryProperties2."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("type_count", ctypes.c_uint32),
+        ("types", ctypes.c_uint32 * (2 * MEMORY_TYPES)),
+        ("heap_count", ctypes.c_uint32),
+        ("heaps", _Heap * MEMORY_HEAPS),
+    )
+
+
+class _Budget(ctypes.Structure):
+    """VkPhysicalDeviceMemoryBudgetPropertiesEXT; zeros from a driver without the extension."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("budget", ctypes.c_uint64 * MEMORY_HEAPS),
+        ("usage", ctypes.c_uint64 * MEMORY_HEAPS),
+    )
+
+
+@dataclass(frozen=True)
+class VulkanDevice:
+    """A Vulkan device.
+
+    name:        as reported by the driver, as `llvmpipe (LLVM 15.0.6, 256 bits)`
+    driver:      name and version of the driver, as `llvmpipe Mesa 25.0.7 (LLVM 15.0.6)`
+    on_cpu:      the driver executes on the CPU
+    has_64_bit:  f64 and i64 in kernels
+    total, free: memory [bytes]; without VK_EXT_memory_budget all memory counts as free
+    allocation:  largest allocation [bytes]
+    """
+
+    name: str
+    driver: str
+    on_cpu: bool
+    has_64_bit: bool = True
+    total: int = 0
+    free: int = 0
+    allocation: int = ADDRESSED
+
+    @property
+    def largest_buffer(self) -> int:
+        """Largest buffer [bytes] for the fields of a run."""
+        return min(self.allocation, ADDRESSED)
+
+    @property
+    def is_wrong(self) -> bool:
+        """True for llvmpipe of a Mesa that returns wrong results without an error."""
+        version = re.search(r"Mesa (\d+)\.(\d+)", self.driver)
+        known = (int(version[1]), int(version[2])) if version else (0, 0)
+        return self.name.startswith("llvmpipe") and known < MESA_MINIMUM
+
+
+def vulkan_devices() -> list[VulkanDevice]:
+    """All Vulkan devices in the order of the loader; empty without a loader or a driver."""
+    loader = _loader()
+    if loader is None:
+        return []
+    application = _ApplicationInfo(api=API_VERSION)
+    info, instance = _InstanceInfo(kind=INSTANCE_INFO, application=ctypes.pointer(application)), ctypes.c_void_p()
+    if loader.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)):
+        return []
+    try:
+        return [_device(loader, handle) for handle in _handles(loader, instance)]
+    finally:
+        loader.vkDestroyInstance(instance, None)
+
+
+def used_device(devices: Sequence[VulkanDevice]) -> VulkanDevice | None:
+    """The device that kernels run on: the first GPU, or the first device without a GPU; None without a device."""
+    return min(devices, key=lambda device: device.on_cpu, default=None)
+
+
+def _loader() -> Any:
+    """The Vulkan loader; None if it is not installed or older than Vulkan 1.1."""
+    names = {"win32": "vulkan-1.dll", "darwin": "libvulkan.dylib"}
+    try:
+        loader = ctypes.CDLL(names.get(sys.platform, "libvulkan.so.1"))
+    except OSError:
+        return None
+    return loader if hasattr(loader, "vkGetPhysicalDeviceProperties2") else None
+
+
+def _handles(loader: Any, instance: ctypes.c_void_p) -> list[ctypes.c_void_p]:
+    """Handles of the physical devices."""
+    count = ctypes.c_uint32()
+    loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
+    handles = (ctypes.c_void_p * count.value)()
+    loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+    return [ctypes.c_void_p(handle) for handle in handles[: count.value]]
+
+
+def _device(loader: Any, handle: ctypes.c_void_p) -> VulkanDevice:
+    """Properties of one device."""
+    limits = _Limits(kind=LIMITS)
+    driver = _Driver(kind=DRIVER_PROPERTIES, next=ctypes.addressof(limits))
+    found = _Properties(kind=PROPERTIES_2, next=ctypes.addressof(driver))
+    loader.vkGetPhysicalDeviceProperties2(handle, ctypes.byref(found))
+    features = (ctypes.c_uint32 * FEATURE_COUNT)()
+    loader.vkGetPhysicalDeviceFeatures(handle, features)
+    text = f"{driver.name.decode(errors='replace')} {driver.info.decode(errors='replace')}"
+    has_64_bit, (total, free) = bool(features[FLOAT64] and features[INT64]), _memory(loader, handle)
+    name, on_cpu = found.name.decode(errors="replace"), found.type == CPU_TYPE
+    return VulkanDevice(name, text, on_cpu, has_64_bit, total, free, int(limits.allocation) or ADDRESSED)
+
+
+def _memory(loader: Any, handle: ctypes.c_void_p) -> tuple[int, int]:
+    """Total and free memory [bytes] of the largest heap of a device."""
+    budget = _Budget(kind=BUDGET)
+    memory = _Memory(kind=MEMORY_2, next=ctypes.addressof(budget))
+    loader.vkGetPhysicalDeviceMemoryProperties2(handle, ctypes.byref(memory))
+    local = [k for k in range(memory.heap_count) if memory.heaps[k].flags & DEVICE_LOCAL]
+    largest = max(local, key=lambda k: memory.heaps[k].size, default=0)
+    total = int(memory.heaps[largest].size)
+    free = int(budget.budget[largest]) - int(budget.usage[largest]) if budget.budget[largest] else total
+    return total, max(free, 0)
+
 
 Arch = Literal["cpu", "cuda", "vulkan", "gpu"]
 """Requested architecture; "gpu" is CUDA, or Vulkan where that is absent."""
 Precision = Literal["f64", "f32", "mixed"]
 """Floating-point types: f64, f32, or mixed (positions float64, forces and velocities float32)."""
-
-
 MOST_THREADS = 1024
 """Number of threads in the key of compiled kernels; larger than any pool."""
 
@@ -172,7 +523,7 @@ def _folder(named: Path) -> Path:
 @cache
 def _prepare_module() -> None:
     """Replace functions of the kernel language, once per process."""
-    foreign_fields.watch()
+    watch()
     if KERNELS == "taichi":
         ti.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info = _position_in_source
         for module in (ti.lang.impl, ti.lang.matrix, ti.lang.snode):
@@ -268,7 +619,7 @@ def is_running_with(arch: Arch, precision: Precision, threads: int | None) -> bo
 def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | None) -> GranflowError:
     """The error if Taichi runs with other settings."""
     before, now = _settings(running.arch, running.precision, running.threads), _settings(arch, precision, threads)
-    if foreign_fields.found():
+    if found():
         return GranflowError(
             f"Taichi runs in this process on {before}, and a restart would destroy the fields that your program has "
             f"made with Taichi; start {now} in a separate process."
@@ -282,3 +633,14 @@ def _refusal(running: Backend, arch: Arch, precision: Precision, threads: int | 
 def _settings(arch: str, precision: Precision, threads: int | None) -> str:
     """Settings of a start in words."""
     return f"{arch} with {precision} and {'all' if threads is None else threads} threads"
+
+
+# Free memory of the GPU that kernels run on.
+
+
+def free_device_memory(arch: str) -> int | None:
+    """Free memory [bytes] of the device of "cuda" or "vulkan"; None if it is unknown."""
+    if arch == "cuda":
+        return free_gpu_memory()
+    device = used_device(vulkan_devices())
+    return None if device is None else device.free

@@ -1,36 +1,628 @@
 """Device interface of the simulation: insert particles, set walls, advance, take a snapshot."""
 
+import gc
+import threading
 import weakref
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from granflow.engine.accounting import Accounting, mechanical_energy
-from granflow.engine.backend import Backend
-from granflow.engine.changes import write_particles
-from granflow.engine.deleted_particles import account_deleted, deleted_particles
-from granflow.engine.force.damping import write_damping
-from granflow.engine.force.max_impact_velocity import MaxImpactVelocity
-from granflow.engine.frozen_masks import mobility_mask
-from granflow.engine.gpu_stepper import GpuStepper
-from granflow.engine.host_copy import append_particles
-from granflow.engine.host_particles import HostParticles
-from granflow.engine.insertion import new_particle_arrays, sphere_rows
-from granflow.engine.integrate import build_kick
-from granflow.engine.limits import NO_PARTICLE, Change
-from granflow.engine.readings import MOTION, Readings
-from granflow.engine.saved_particles import RankFiles
-from granflow.engine.saved_sums import load_sums, load_wall_dynamics, saved_sums, saved_wall_dynamics
-from granflow.engine.stability_monitor import StabilityMonitor
+from granflow.engine import backend as foreign_fields
+from granflow.engine import backend as taichi
+from granflow.engine.abort import Change, Diagnosis, diagnose
+from granflow.engine.backend import Arch, Backend, Precision
+from granflow.engine.clumps import CLUMP_MOTION, Arrays, angular_momentum, arms, synchronized_clumps
+from granflow.engine.codes import NO_PARTICLE, REMOVED_BELOW
+from granflow.engine.contact import collision_counts
+from granflow.engine.fields import write_field
+from granflow.engine.host import (
+    Histories,
+    HostParticles,
+    append_particles,
+    copy_to_host,
+    particle_table,
+    saved_particle_table,
+)
+from granflow.engine.pair import mobility_mask
+from granflow.engine.particle_forces import write_damping
 from granflow.engine.state import FreedState, State
-from granflow.engine.state_cache import return_state, take_state
-from granflow.engine.stepper import Stepper
+from granflow.engine.statistics import ContactOutput, ContactStatistics, MaxImpactVelocity
+from granflow.engine.step import build_kick
+from granflow.engine.stepper import GpuStepper, Stepper
+from granflow.engine.sums import canonical, chunk_words, exact_sum
+from granflow.engine.totals import (
+    Accounting,
+    ParticleSums,
+    StabilityMonitor,
+    account_deleted,
+    deleted_particles,
+    device_sums,
+    ended_contacts_dissipation,
+    host_sums,
+    mechanical_energy,
+    ordered_particles,
+    totals_of,
+    wall_poses,
+)
+from granflow.engine.wall_dynamics import wall_impulses
 from granflow.errors import GranflowError
+from granflow.fields import PARTICLE_QUANTITIES
+from granflow.geometry.clump import product
 from granflow.geometry.motion import Motion, pose
-from granflow.particles.particle_data import ParticleData
-from granflow.plan.adaptive_time_step import STEPS_BETWEEN_UPDATES
+from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.io.machine import worker_count
+from granflow.particles.group import ParticleData
+from granflow.plan.arrays import (
+    DeviceArray,
+    estimate_memory,
+    fits_lists,
+    saved_arrays,
+    structure_of,
+    sum_arrays,
+    wall_dynamics_arrays,
+)
 from granflow.plan.plan import Plan
+from granflow.plan.time_step import STEPS_BETWEEN_UPDATES
+from granflow.snapshot import Snapshot
+
+# Particles that change during a run from Python: read in the order of ids, written and removed.
+#
+# `Engine.begin_change` precedes each change, `Engine.refresh` follows the last one.
+
+
+def present_indices(state: State) -> np.ndarray:
+    """Device indices (n,) of the particles in the order of their ids, without those that are removed."""
+    arrays = copy_to_host(state, ("id", "radius"))
+    order = np.argsort(arrays["id"], kind="stable")
+    return order[arrays["radius"][order] > REMOVED_BELOW]
+
+
+def write_particles(state: State, indices: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write particle fields.
+
+    indices:  device indices (k,)
+    arrays:   arrays (k,) or (k, 3) by field; velocities are at the time of the positions
+    """
+    values = dict(arrays)
+    if "velocity" in values and state.particles.velocity_synchronized is not None:
+        values["velocity_synchronized"] = values["velocity"]
+    state.built(particle_table, tuple(values)).put(indices, values)
+
+
+def remove_particles(state: State, indices: np.ndarray) -> None:
+    """Mark particles with these device indices (k,) for deletion at the next neighbor-list rebuild."""
+    radius = copy_to_host(state, ("radius",))["radius"][indices]
+    write_particles(state, indices, {"radius": -radius})
+
+
+# Arrays of inserted particles.
+
+
+def new_particle_arrays(plan: Plan, new: ParticleData, first_id: int) -> Arrays:
+    """Arrays (k,) or (k, 3) by particle field for new particles, with ids from `first_id`.
+
+    Velocities are at the time of the positions; materials are numbers of the plan. Each clump is one particle of `new`
+    and several rows of the arrays, see `sphere_rows`.
+    """
+    density, count = _densities(plan), len(new)
+    numbers = {name: number for number, name in enumerate(plan.materials)}
+    material = np.array([numbers.get(name, 0) for name in plan.solids])
+    fixed = np.array([group.fixed for group in plan.groups])
+    arrays = {
+        "id": first_id + np.arange(count),
+        "material": material[new.material],
+        "fixed": fixed[new.group].astype(np.int32),
+        "radius": new.radius,
+        "mass": sphere_mass(new.radius, density[new.material]),
+        "position": new.position,
+        "position_at_rebuild": new.position,
+        "velocity": new.velocity,
+        "angular_velocity": new.angular_velocity,
+    }
+    if plan.features.liquid_transfer:
+        arrays["liquid_film"] = _films(plan, new)
+    return _sphere_arrays(plan, new, arrays, first_id) if plan.features.clumps else arrays
+
+
+def _films(plan: Plan, new: ParticleData) -> np.ndarray:
+    """Volumes (k,) [m3] of the films of new particles, whole units."""
+    content = np.array([group.liquid_content for group in plan.groups])
+    volume = content[new.group] * sphere_volume(new.radius)
+    films: np.ndarray = np.rint(volume / plan.liquid_unit) * plan.liquid_unit
+    return films
+
+
+def sphere_rows(plan: Plan, new: ParticleData) -> np.ndarray:
+    """Row (k,) in `new` of each of the k spheres: that of its clump, or its own."""
+    sizes = np.array([1 if group.clump is None else len(group.clump) for group in plan.groups])
+    return np.repeat(np.arange(len(new)), sizes[new.group])
+
+
+def _densities(plan: Plan) -> np.ndarray:
+    """Densities [kg/m3] of the materials of the scene."""
+    return np.array([solid.density for solid in plan.solids.values()])
+
+
+def _sphere_arrays(plan: Plan, new: ParticleData, bodies: Arrays, first_id: int) -> Arrays:
+    """Arrays (k,) or (k, 3) of the spheres of all clumps, and of single spheres.
+
+    bodies:  arrays (n,) or (n, 3) with a row per clump or single sphere
+    """
+    row = sphere_rows(plan, new)
+    size = np.bincount(row, minlength=len(new))
+    first = np.cumsum(size) - size
+    member, count = np.arange(len(row)) - first[row], len(row)
+    arrays = {name: values[row] for name, values in bodies.items()}
+    arrays |= {"id": first_id + np.arange(count), "clump": np.full(count, -1), "clump_size": size[row]}
+    arrays |= {"clump_mass": arrays["mass"].copy(), "orientation": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))}
+    arrays |= {name: np.zeros((count, 3)) for name in ("clump_inertia", "clump_offset")}
+    for number, group in enumerate(plan.groups):
+        own = np.flatnonzero(new.group[row] == number)
+        if group.clump is not None and len(own):
+            assert new.orientation is not None
+            shape, density = group.clump, float(_densities(plan)[new.material[row[own[0]]]])
+            arrays["clump"][own] = first_id + first[row[own]]
+            arrays["radius"][own], arrays["clump_offset"][own] = shape.radius[member[own]], shape.offset[member[own]]
+            arrays["mass"][own] = density * shape.volume * shape.volume_share[member[own]]
+            arrays["clump_mass"][own], arrays["clump_inertia"][own] = density * shape.volume, density * shape.moments
+            arrays["orientation"][own] = product(new.orientation[row[own]], shape.principal_axes)
+    return arrays | _motion_of_spheres(arrays)
+
+
+def _motion_of_spheres(arrays: Arrays) -> Arrays:
+    """Positions and velocities of spheres, from those of the clumps in the same arrays."""
+    arm = arms(arrays)
+    position = arrays["position"] + arm
+    return {
+        "position": position,
+        "position_at_rebuild": position,
+        "velocity": arrays["velocity"] + np.cross(arrays["angular_velocity"], arm),
+        "clump_position": arrays["position"],
+        "clump_position_at_rebuild": arrays["position"],
+        "clump_velocity": arrays["velocity"],
+        "clump_angular_momentum": angular_momentum(arrays),
+    }
+
+
+# What is read from a run on the device: clock, energies, snapshots, arrays of the particles.
+
+TIME_TOLERANCE = 1e-6
+"""Tolerance for reaching a requested time, as a fraction of the time step."""
+MOTION = ("mass", "radius", "position", "velocity", "angular_velocity", "force", "torque", *CLUMP_MOTION)
+"""Fields that determine the mechanical energy at the time of the positions."""
+CONTACT_COUNTS = ("coordination_number", "wall_contact_count")
+"""Fields with the number of contacts of each particle."""
+
+
+@dataclass(frozen=True)
+class RestState:
+    """How close the mobile particles are to rest.
+
+    kinetic_energy:  mean translational and rotational kinetic energy [J] per particle
+    unbalanced:      magnitude of the net force on all of them over their weight, which is the acceleration of the
+                     center of mass over gravity: 1 in free fall, 0 in equilibrium; 0 without gravity
+    """
+
+    kinetic_energy: float
+    unbalanced: float
+
+
+class Readings:
+    """The readable part of an engine: none of these functions changes the run, except for the records of `observe`."""
+
+    plan: Plan
+    state: State
+    stepper: Stepper
+    accounting: Accounting
+    stability_monitor: StabilityMonitor
+    energy_before_change: float | None
+    _gravity: np.ndarray
+    _started: bool
+    _walls_changed: bool
+    _stopping_change: Change | None
+    _counts_contacts: bool
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.state.clock.time
+
+    @property
+    def step_count(self) -> int:
+        """Number of completed steps."""
+        return self.state.clock.step_count
+
+    @property
+    def time_step(self) -> float:
+        """Present time step [s]."""
+        return self.state.clock.time_step
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles, of all ranks."""
+        return self.state.count
+
+    @property
+    def mean_time_step(self) -> float:
+        """Time step [s]; with an adaptive time step, the mean over all completed steps."""
+        is_adaptive = self.plan.adaptive_time_step is not None and self.step_count > 0
+        return self.time / self.step_count if is_adaptive else self.plan.time_step
+
+    def steps_to(self, time: float) -> int:
+        """Number of steps of the present length that end at this time [s] or just after it."""
+        return ceil((time - self.time) / self.time_step - TIME_TOLERANCE)
+
+    def reached(self, time: float) -> bool:
+        """True if the present time is the step nearest to this time [s], or later."""
+        return self.time >= time - 0.5 * self.time_step
+
+    @property
+    def is_changed(self) -> bool:
+        """True if particles or walls have changed since the last `refresh`; see `engine.changes`."""
+        return self._walls_changed or self.energy_before_change is not None
+
+    @property
+    def aborted(self) -> bool:
+        """True if the run exceeded a limit."""
+        return bool(self.stepper.abort_code)
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """Diagnosis of an aborted run, computed again at every call; None if the run has not aborted."""
+        code = self.stepper.abort_code
+        if not code:
+            return None
+        particle = int(self.state.control.abort_particle[0])
+        return diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
+
+    def _contact_energy(self) -> float:
+        """Elastic energy and plastic dissipation [J] of the present contacts."""
+        measured = self.state.built(ContactStatistics).measure(self.stepper.poses.index_at(self.step_count))
+        return measured["elastic_energy"] + measured["plastic_dissipation"]
+
+    def stored_energy(self) -> float:
+        """Mechanical energy [J] of the particles and, if contacts existed before a change, energies of contacts.
+
+        The latter are the elastic energy and the plastic dissipation of present contacts, and with the energy budget
+        that of ended ones.
+        """
+        return self._stored_energy(self.synchronized(MOTION))
+
+    def _stored_energy(self, arrays: Mapping[str, np.ndarray]) -> float:
+        """`stored_energy` with the fields MOTION at the time of the positions."""
+        energy = sum(mechanical_energy(arrays, self._gravity))
+        if self._counts_contacts:
+            energy += self._contact_energy() + ended_contacts_dissipation(self.state)
+        return energy
+
+    def rest_state(self) -> RestState:
+        """Mean kinetic energy and net force of the particles that are not fixed, the same for any order of them."""
+        arrays, ranks = self._own_synchronized(MOTION), self.state.ranks
+        kinetic, rotational, _ = mechanical_energy(arrays, self._gravity, ranks)
+        mobile = mobility_mask(arrays)
+        mobile_count = float(ranks.total(np.array([mobile.sum()]))[0])
+        weight = exact_sum(arrays["mass"].astype(float) * mobile, ranks) * float(np.linalg.norm(self._gravity))
+        net = [exact_sum(component * mobile, ranks) for component in arrays["force"].astype(float).T]
+        unbalanced = float(np.linalg.norm(net)) / weight if weight else 0.0
+        return RestState((kinetic + rotational) / max(mobile_count, 1.0), unbalanced)
+
+    def snapshot(self, stage: str, quantities: frozenset[str]) -> Snapshot:
+        """Snapshot of the present state, read-only arrays in SI units; the run continues as without it.
+
+        stage:       name of the present stage
+        quantities:  subset of particles, contacts, walls and totals, as for observers
+
+        With walls alone, `totals` contains the particle count only, and no contact statistics are computed.
+        """
+        return self._snapshot(stage, quantities, observed=False)
+
+    def observe(self, stage: str, quantities: frozenset[str]) -> Snapshot:
+        """As `snapshot`, for observers of a run: also checks the stability and updates the largest energy input."""
+        return self._snapshot(stage, quantities, observed=True)
+
+    def _snapshot(self, stage: str, quantities: frozenset[str], observed: bool) -> Snapshot:
+        poses = wall_poses(self.state) if "walls" in quantities else {}
+        if quantities <= {"walls"}:
+            count = {"particle_count": float(self.particle_count)}
+            return Snapshot(self.time, self.step_count, stage, {}, None, poses, count)
+        pose = self.stepper.poses.index_at(self.step_count)
+        measured = self.state.built(ContactStatistics).measure(pose)
+        arrays, sums = self._particles_and_sums("particles" in quantities)
+        totals = totals_of(self.state, self.accounting, sums, measured)
+        if observed:
+            self.stability_monitor.check(self.time, sums.energies, self.accounting, totals, sums.speed)
+        particles = ordered_particles(arrays, self.accounting) if "particles" in quantities else {}
+        contacts = self.state.built(ContactOutput).take(self.stepper.ids(), pose) if "contacts" in quantities else None
+        since_start = wall_impulses(self.state), collision_counts(self.state)
+        return Snapshot(self.time, self.step_count, stage, particles, contacts, poses, totals, *since_start)
+
+    def _particles_and_sums(self, needs_arrays: bool) -> tuple[dict[str, np.ndarray], ParticleSums]:
+        """Arrays of a snapshot in device order if needed, and sums over the particles; a GPU adds them up by itself."""
+        if not (needs_arrays or self.state.backend.on_cpu or self.plan.features.clumps):
+            return {}, device_sums(self.state, 0.5 * self.time_step * self._started)
+        own = self._own_synchronized(self._shown if needs_arrays else (*MOTION, *CONTACT_COUNTS))
+        sums = host_sums(own, self._gravity, self.state.ranks)
+        return self._in_box(self.state.ranks.gathered(own)) if needs_arrays else {}, sums
+
+    def own_particles(self) -> dict[str, np.ndarray]:
+        """As `Snapshot.particles`, of this process only; all MPI ranks call this together."""
+        self.state.built(ContactStatistics).measure(
+            self.stepper.poses.index_at(self.step_count)
+        )  # contacts per particle
+        return ordered_particles(self._in_box(self._own_synchronized(self._shown)), self.accounting)
+
+    @property
+    def _shown(self) -> tuple[str, ...]:
+        """Fields of snapshots."""
+        return tuple(each.name for each in PARTICLE_QUANTITIES.values() if each.in_snapshot and each.dtype)
+
+    def _in_box(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The arrays with positions in the periodic box, and the velocities there."""
+        position, velocity = self.plan.periodic_box.wrap_with_velocity(
+            arrays["position"], arrays["velocity"], self.time
+        )
+        return arrays | {"position": position, "velocity": velocity}
+
+    def copied(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Fields on the host in device order, as they are on the device."""
+        return self.state.ranks.gathered(copy_to_host(self.state, names))
+
+    def synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Fields on the host in device order, with velocities and angular velocities at the time of the positions.
+
+        names:    particle fields
+        Returns:  arrays (n,) or (n, 3) by name, also of the fields that determine the velocities; fields that the scene
+                  does not have are absent
+
+            v(t) = v(t - dt/2) + dt F(t) / (2 m),   w(t) = w(t - dt/2) + dt M(t) / (2 I),   I = (2/5) m R^2
+
+        Before the first step they are the initial values: a run that aborts there has not shifted them.
+        """
+        return self.state.ranks.gathered(self._own_synchronized(names))
+
+    def _own_synchronized(self, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """As `synchronized`, of the particles of this process."""
+        has_clumps = self.plan.features.clumps
+        rotation = ("radius", "angular_velocity", "torque") if has_clumps or "angular_velocity" in names else ()
+        clump_motion = CLUMP_MOTION if has_clumps else ()
+        needed = ("mass", "velocity", "force", "fixed", *rotation, *clump_motion)
+        arrays = copy_to_host(self.state, tuple(dict.fromkeys((*names, *needed))))
+        if not self._started:
+            return arrays
+        clumps = synchronized_clumps(arrays, 0.5 * self.time_step, self._gravity)
+        half = 0.5 * self.time_step * mobility_mask(arrays)[:, None]
+        mass = arrays["mass"].astype(float)[:, None]
+        arrays["velocity"] = arrays["velocity"] + half * arrays["force"] / mass
+        if "angular_velocity" in arrays:
+            inertia = 0.4 * mass * arrays["radius"].astype(float)[:, None] ** 2
+            arrays["angular_velocity"] = arrays["angular_velocity"] + half * arrays["torque"] / inertia
+        if clumps:
+            in_clump = arrays["clump"][:, None] >= 0
+            arrays |= {name: np.where(in_clump, values, arrays[name]) for name, values in clumps.items()}
+        return arrays
+
+
+# Sums over the chunks of particles, and force-controlled walls, in checkpoints.
+
+OTHER_FEATURES = (
+    "Friction, rolling friction, the energy budget, wall forces and collision energies cannot be switched on or off in "
+    "a resumed run."
+)
+"""End of messages on arrays that do not match those of the scene."""
+
+
+def saved_sums(state: State) -> dict[str, np.ndarray]:
+    """Terms of the energy budget and of the wall forces by name, summed over chunks and MPI ranks, int64."""
+    fields = {name: getattr(state.control, name) for name in _sums(state.plan)}
+    totals = {
+        name: state.ranks.total(field.to_numpy() if len(field.shape) > 1 else chunk_words(state, field))
+        for name, field in fields.items()
+    }
+    return {name: canonical(words.sum(axis=0)) for name, words in totals.items()}
+
+
+def load_sums(state: State, saved: Mapping[str, np.ndarray]) -> None:
+    """Restore the sums that `saved_sums` returned; without them, as on all ranks but the root, the sums are zero.
+
+    Raises GranflowError if an array is missing or unknown.
+    """
+    arrays = _sums(state.plan)
+    if saved:
+        refuse_other_names(saved, arrays)
+    for name, array in arrays.items():
+        _load(getattr(state.control, name), array, saved.get(name))
+
+
+def saved_wall_dynamics(state: State) -> dict[str, Any]:
+    """Keys of the force-controlled motions, and their arrays, forces summed over the chunks."""
+    found: dict[str, Any] = {"controlled_motions": [each.key for each in state.plan.controlled_motions]}
+    for name, array in _dynamics(state.plan).items():
+        values = getattr(state.wall_dynamics, name).to_numpy()
+        found[name] = values.sum(axis=0) if array.by_chunk else values
+    return found
+
+
+def load_wall_dynamics(state: State, saved: Mapping[str, Any]) -> None:
+    """Restore what `saved_wall_dynamics` returned. Raises GranflowError if the scene has other motions."""
+    before, now = saved["controlled_motions"], [controlled.key for controlled in state.plan.controlled_motions]
+    if before != now:
+        named = (", ".join(each) or "none" for each in (before, now))
+        raise GranflowError(
+            "The force-controlled wall motions are {} in the checkpoint and {} in the scene. A resumed run can change "
+            "the parameters of such a motion but not add or remove one; use stages for that.".format(*named)
+        )
+    for name, array in _dynamics(state.plan).items():
+        _load(getattr(state.wall_dynamics, name), array, saved[name])
+
+
+def refuse_other_names(saved: Mapping[str, Any], names: Mapping[str, Any]) -> None:
+    """Raise GranflowError if an array of a checkpoint is missing or unknown."""
+    if set(saved) != set(names):
+        present, needed = (", ".join(sorted(each)) or "none" for each in (saved, names))
+        raise GranflowError(
+            f"The checkpoint holds the arrays {present}, but this scene needs {needed}. {OTHER_FEATURES}"
+        )
+
+
+def _load(field: Any, array: DeviceArray, values: np.ndarray | None) -> None:
+    """Write an array to a field; the sum over the chunks to the first chunk, and zeros to the others."""
+    if array.by_chunk:
+        write_field(field, np.zeros((0, *array.full_shape[1:]), np.int64) if values is None else values[None])
+    else:
+        field.from_numpy(values)
+
+
+def _sums(plan: Plan) -> dict[str, DeviceArray]:
+    """Saved sums by name."""
+    return saved_arrays(sum_arrays(plan))
+
+
+def _dynamics(plan: Plan) -> dict[str, DeviceArray]:
+    """Saved arrays of the force-controlled walls by name; empty without such walls."""
+    return saved_arrays(wall_dynamics_arrays(plan)) if plan.controlled_motions else {}
+
+
+# Particles of a checkpoint on the host, in the order of their ids.
+
+
+class RankFiles(Protocol):
+    """Files with the particles of MPI ranks, which all ranks read together; each rank has a copy."""
+
+    @property
+    def count(self) -> int:
+        """Number of files."""
+
+    def read(self, number: int, plan: Plan, accounting: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Checked particles and contacts of a file, as in `engine.checkpoint.saved_state`.
+
+        number:      of the file
+        accounting:  state of `Accounting`
+        Raises:      GranflowError for an invalid file
+        """
+
+
+def host_particles(state: State, saved: Mapping[str, Any]) -> HostParticles:
+    """The particles of a checkpoint, in the order of their ids.
+
+    saved:   with "particles" and "contacts" as in `engine.checkpoint.saved_state`
+    Raises:  GranflowError if the scene needs other arrays
+    """
+    history, contacts = state.plan.history, dict(saved["contacts"])
+    refuse_other_names(saved["particles"], saved_particle_table(state).fields)
+    count, partner = contacts.pop("count"), contacts.pop("partner")
+    refuse_other_names(contacts, history if len(partner) or contacts else {})
+    contacts = contacts or {slot: np.zeros((0, components)) for slot, components in history.items()}
+    particles = HostParticles(saved["particles"], Histories(count, partner, contacts))
+    is_sorted = np.all(np.diff(saved["particles"]["id"]) > 0)
+    return particles if is_sorted else particles.by_id()
+
+
+# Device data of ended simulations, kept with their kernels for later simulations of equal structure in this
+# process.
+#
+# Taichi numbers its fields consecutively from its start, and the key of a kernel in the cache on disk
+# contains these numbers. Fields that are added to others therefore need new kernels, also if they equal
+# earlier ones. If no simulation is in use, Taichi is restarted instead (about 0.1 s): each structure is
+# compiled once per machine, and architecture, precision and threads can change.
+
+MOST_STATES = 4
+"""Number of states that are kept; the oldest is freed first."""
+MOST_BYTES = 250_000_000
+"""Device memory [bytes] of all kept states; a larger state is freed at its end."""
+restarts_for_structures = True
+"""Whether Taichi is restarted for a new structure. The tests keep states instead."""
+_kept: list[State] = []
+_in_use: "weakref.WeakSet[State]" = weakref.WeakSet()
+
+
+def start(arch: Arch = "cpu", precision: Precision = "f64", threads: int | None = None) -> Backend:
+    """Start Taichi, or restart it if it runs with other settings and no simulation is in use.
+
+        granflow.start("cpu", precision="mixed", threads=2)
+
+    threads:  CPU threads; None: as many as this process may use
+    Raises:   GranflowError for unknown settings, if the architecture is absent or lacks float64, or if Taichi runs with
+              other settings, or in another thread, and a simulation, or a field of the program itself, is in use
+    """
+    worker_count(threads)  # refuses what is no number of threads before anything is stopped
+    for name, value, known in (("arch", arch, get_args(Arch)), ("precision", precision, get_args(Precision))):
+        if value not in known:
+            raise GranflowError(f"{name} is {value!r}; give one of {', '.join(known)}.")
+    taichi.refuse_forked_process()
+    running = taichi.running()
+    if running is not None:
+        is_same = running.owner is threading.current_thread() and taichi.is_running_with(arch, precision, threads)
+        if not is_same and _is_unused():
+            _stop()
+    return taichi.start(arch, precision, threads)
+
+
+def take_state(plan: Plan, backend: Backend) -> State:
+    """The state for a plan: a kept one of equal structure, reset, or a new one.
+
+    Simulations that nothing refers to any more return their states first.
+    """
+    structure = structure_of(plan)
+    if not _matches(structure, plan, _kept) and _matches(structure, plan, _in_use):
+        gc.collect()
+    found = next(iter(_matches(structure, plan, _kept)), None)
+    if found is None:
+        found = State(plan, _fresh(backend))
+    else:
+        _kept.remove(found)
+        found.reset(plan)
+    _in_use.add(found)
+    return found
+
+
+def return_state(state: State) -> None:
+    """Keep a state for a later simulation. Garbage collection may call it, so that it frees nothing."""
+    _in_use.discard(state)
+    _kept.append(state)
+
+
+def _fresh(backend: Backend) -> Backend:
+    """The backend, restarted if it has been used and nothing of it is in use."""
+    if not taichi.is_used() or backend is not taichi.running():
+        return backend
+    if not (restarts_for_structures and _is_unused()):
+        _free_excess()
+        return backend
+    _stop()
+    return taichi.start(backend.arch, backend.precision, backend.threads)  # type: ignore[arg-type]
+
+
+def _is_unused() -> bool:
+    """Whether neither a simulation nor a field of the program itself is in use."""
+    if _in_use:
+        gc.collect()
+    return not _in_use and not foreign_fields.found()
+
+
+def _stop() -> None:
+    """Free the kept states and stop Taichi."""
+    while _kept:
+        _kept.pop().free()
+    taichi.stop()
+
+
+def _matches(structure: Hashable, plan: Plan, states: "list[State] | weakref.WeakSet[State]") -> list[State]:
+    return [state for state in states if state.structure == structure and fits_lists(state.capacities, plan.capacities)]
+
+
+def _free_excess() -> None:
+    """Free the oldest kept states above MOST_STATES or MOST_BYTES."""
+    while _kept and (len(_kept) > MOST_STATES or sum(map(_size, _kept)) > MOST_BYTES):
+        _kept.pop(0).free()
+
+
+def _size(state: State) -> int:
+    """Device memory [bytes]."""
+    return estimate_memory(state.plan, state.plan.precision).total
+
 
 _T = TypeVar("_T")
 

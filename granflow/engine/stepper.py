@@ -7,31 +7,155 @@ to the host. If the list capacity is too small, the host reallocates the fields 
 
 import time as clock
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.engine.contact_histories import HistoryTable
-from granflow.engine.exact_sums import shares_rows
-from granflow.engine.force.contact_accounting import build_end_wall_work
-from granflow.engine.force.external_forces import write_force_inputs
-from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles
+from granflow.engine.backend import free_device_memory
+from granflow.engine.box import upload_offsets
+from granflow.engine.codes import NOT_HALTED
+from granflow.engine.contact import build_end_wall_work
+from granflow.engine.gpu import DeviceFlags, read_flags
+from granflow.engine.host import HistoryTable, HostParticles, saved_particle_table
 from granflow.engine.neighbor.rebuild import NeighborListRebuild, Rebuild
-from granflow.engine.pair_batch import BATCH, LANES
-from granflow.engine.state import State
-from granflow.engine.step_kernels import build_steps
-from granflow.engine.threads.workers import Workers
-from granflow.engine.timing import Timing
-from granflow.engine.wall_poses import WallPoses
+from granflow.engine.particle_forces import write_force_inputs
+from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.step import build_steps
+from granflow.engine.sums import shares_rows
+from granflow.engine.threads import Workers
+from granflow.engine.walls import upload_poses
 from granflow.kernel_language import ti
-from granflow.plan.capacities import Capacities
+from granflow.plan.arrays import estimate_memory, refuse_growth
+from granflow.plan.capacities import WALL_BATCH, Capacities
+
+# Wall-clock time of a run by phase.
+
+
+@dataclass
+class Timing:
+    """Wall-clock time [s] by phase, and counts.
+
+    neighbor_list:        neighbor-list rebuilds
+    advance:              all other phases of the steps
+    sampled_forces:       forces of the sampled steps
+    sampled_integration:  integration of the sampled steps; the ratio of both divides `advance`
+    rebuild_count:        number of neighbor-list rebuilds
+    step_count:           number of completed steps
+    particle_steps:       sum of the particle counts of all steps
+    growth_count:         number of reallocations with a larger list capacity
+    compile:              compilation of kernels
+    exchange:             part of `advance`: messages between MPI ranks
+    waiting:              part of `advance`: agreement of MPI ranks on each step, which waits for the slowest rank
+    """
+
+    neighbor_list: float = 0.0
+    advance: float = 0.0
+    sampled_forces: float = 0.0
+    sampled_integration: float = 0.0
+    rebuild_count: int = 0
+    step_count: int = 0
+    particle_steps: int = 0
+    growth_count: int = 0
+    compile: float = 0.0
+    exchange: float = 0.0
+    waiting: float = 0.0
+
+    @property
+    def _computing(self) -> float:
+        """Wall-clock time [s] of forces and integration."""
+        return self.advance - self.exchange - self.waiting
+
+    @property
+    def forces(self) -> float:
+        """Wall-clock time [s] of contact forces."""
+        sampled = self.sampled_forces + self.sampled_integration
+        return self._computing * self.sampled_forces / sampled if sampled else self._computing
+
+    @property
+    def integration(self) -> float:
+        """Wall-clock time [s] of time integration."""
+        return self._computing - self.forces
+
+
+# Poses of the walls, and offsets of the images of a sheared box, on the device for WALL_BATCH steps in
+# advance.
+
+
+class WallPoses:
+    """The poses on the device.
+
+    `next`: index of the poses of the next step; WALL_BATCH if they must be uploaded, 0 without poses.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self.discard()
+
+    def discard(self) -> None:
+        """Upload the poses again before their next use, because motions or the time step have changed."""
+        self.next = WALL_BATCH if self._state.plan.has_poses else 0
+        self._first_step: int | None = None
+
+    def index_at(self, step: int) -> int:
+        """Index of the poses after step number `step`; uploads them unless they are on the device."""
+        if not self._state.plan.has_poses:
+            return 0
+        first = self._first_step
+        if first is None or not 0 <= step - first < WALL_BATCH:
+            self._upload(step)
+            self.next, first = 1, step
+        return step - first
+
+    def prepare(self, step: int, steps_since_rebuild: int) -> int:
+        """Upload the poses of the steps after number `step` if necessary; returns the number of steps that they allow.
+
+        If a wall may move too far in the next step, requests a rebuild: walls are not in the displacement check of the
+        particles. The rebuild follows the integration of the next step, as all others: forces are not computed again
+        for it.
+        """
+        if not self._state.plan.has_poses:
+            return WALL_BATCH
+        allowed = self._steps_to_displacement_limit(steps_since_rebuild)
+        if allowed < 1:
+            self._state.control.rebuild_requested[0] = 1
+        if self.next == WALL_BATCH:
+            self._upload(step + 1)
+            self.next = 0
+        return min(WALL_BATCH - self.next, max(allowed, 1))
+
+    def advance(self, steps: int) -> None:
+        """Continue after a number of completed steps."""
+        if self._state.plan.has_poses:
+            self.next += steps
+
+    def _upload(self, step: int) -> None:
+        """Upload the poses of walls and images from step number `step`."""
+        self._first_step = step
+        if self._state.plan.features.moving_walls:
+            upload_poses(self._state, step)
+        if self._state.plan.features.lees_edwards:
+            upload_offsets(self._state, step)
+
+    def _steps_to_displacement_limit(self, steps_since_rebuild: int) -> int:
+        """Steps until the fastest wall may reach its displacement limit between rebuilds, or an image the skin.
+
+        Force-controlled walls request their rebuilds on the device. WALL_BATCH if nothing moves.
+        """
+        plan = self._state.plan
+        displacement_limit, speed = (
+            (plan.wall_displacement_limit, plan.wall_speed)
+            if not plan.features.lees_edwards
+            else (plan.skin, plan.image_speed)
+        )
+        if speed == 0.0:
+            return WALL_BATCH
+        return int(displacement_limit / (speed * plan.longest_time_step)) - steps_since_rebuild
+
 
 LAUNCH_SECONDS = 0.05
 """Wall-clock time of a CPU launch [s]. A launch cannot be interrupted: a stop takes effect between two launches."""
-
 FIRST_LAUNCH = 50_000
 """Particle-steps of the first CPU launch, before the rate is known."""
-
 SAMPLE_EVERY = 256
 """Interval in steps between sampled steps, whose phases are timed separately."""
 
@@ -262,3 +386,90 @@ class Stepper:
         self.timing.sampled_integration += integrated - began
         self.timing.sampled_forces += clock.perf_counter() - forces_began
         return self._steps_done
+
+
+# The stepper of a GPU: two dispatches per step, and one transfer to the host per batch of steps.
+#
+# The kernels compare numbers of launches, see `gpu_step`, so that the host resets no flag between two
+# batches.
+
+GPU_BATCH = 16
+"""Number of steps between two reads of the flags."""
+
+
+class GpuStepper(Stepper):
+    """Advances a State on a GPU by steps, each of them a launch."""
+
+    _launches = 0
+    """Number of the next launch that computes forces."""
+    _first_launch = 0
+    """Its value at the last `_begin_count`."""
+    _read: DeviceFlags | None = None
+    """Flags after the last launch; None if they have not been read."""
+
+    @property
+    def abort_code(self) -> int:
+        """0, or the abort code."""
+        return self._flags.abort
+
+    @property
+    def _flags(self) -> DeviceFlags:
+        """Flags after the last launch."""
+        if self._read is None:
+            self._read = read_flags(self.state)
+        return self._read
+
+    @property
+    def _is_rebuild_due(self) -> bool:
+        return self._flags.integration_halted_at != NOT_HALTED
+
+    @property
+    def _steps_done(self) -> int:
+        flags = self._flags
+        return min(flags.integration_halted_at, flags.forces_halted_at, self._launches) - self._first_launch
+
+    def _begin_count(self) -> None:
+        self._first_launch = self._launches
+
+    def _prepare_workers(self) -> None:
+        """A GPU has no workers."""
+
+    def rebuild_neighbor_lists(self, step: int, pose: int = 0) -> None:
+        """As `Stepper.rebuild_neighbor_lists`."""
+        super().rebuild_neighbor_lists(step, pose)
+        self._read = None
+
+    def _grow(self, capacities: Capacities) -> None:
+        """Reallocate the fields; on the device if the old and the new ones fit, else over the host.
+
+        Raises SceneError if the new ones do not fit.
+        """
+        plan, state = self.state.plan, self.state
+        free, grown = free_device_memory(state.backend.arch), estimate_memory(plan, plan.precision, capacities).total
+        present = estimate_memory(plan, plan.precision, state.capacities).total
+        refuse_growth(plan, capacities, None if free is None else free + present, state.backend.largest_buffer)
+        if free is None or grown < free:
+            state.grow_on_device(capacities, self._compile)
+        else:
+            super()._grow(capacities)
+
+    def forces(self, pose: int = 0, history_step: float | None = None) -> None:
+        """As `Stepper.forces`."""
+        if self.state.control.force_clock is not None:
+            self.state.control.steps_done[0] = 0
+        super().forces(pose, history_step)
+
+    def _launch(self, steps: int) -> int:
+        """Launch up to GPU_BATCH steps; returns the number of completed steps."""
+        if self._since_sample >= SAMPLE_EVERY:
+            return self._sampled_step()
+        for index in range(min(steps, GPU_BATCH)):
+            self._launch_step(1, self.poses.next + index, self.state.clock.time_step)
+        return self._steps_done
+
+    def _launch_step(self, steps: int, pose: int, step: float, moving: int = 1, forcing: int = 1) -> None:
+        """Launch one step. If `moving` or `forcing` is 0, only the other phase."""
+        state, before = self.state, self._launches - self._first_launch
+        self._step(self._launches, before, state.chunk_count, state.count, pose, step, moving, forcing)
+        self._launches += forcing
+        self._read = None

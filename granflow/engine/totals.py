@@ -1,18 +1,445 @@
 """Totals of a snapshot, and the energy budget."""
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from math import inf
+from typing import Any
 
-from granflow.engine.accounting import Accounting, energy_input
-from granflow.engine.exact_sums import SHARES, chunk_words, exact_totals
-from granflow.engine.force.contact_statistics import LIQUID_SUMS
-from granflow.engine.particle_sums import ParticleSums
-from granflow.engine.state import State
-from granflow.engine.wall_dynamics import controlled_totals, controlled_work
-from granflow.plan.chunk_sums import LOSSES, PLASTIC
+import numpy as np
+
+from granflow.engine.clumps import CLUMP_MOTION, ROTATION_SHARE, of_clumps
+from granflow.engine.codes import ABORT_LEFT_DOMAIN, REMOVED_BELOW
+from granflow.engine.host import copy_to_host
+from granflow.engine.pair import build_mobility, mobility_mask
+from granflow.engine.state import ALONE, Gathering, State
+from granflow.engine.statistics import LIQUID_SUMS
+from granflow.engine.sums import (
+    REDUCED_ROWS,
+    SHARES,
+    build_to_nearest,
+    chunk_words,
+    exact_sum,
+    exact_total,
+    exact_totals,
+    scale_exponent,
+)
+from granflow.engine.wall_dynamics import controlled_displacements, controlled_totals, controlled_work
+from granflow.geometry.motion import pose
+from granflow.kernel_language import ti
+from granflow.plan.capacities import LOSSES, PLASTIC
+from granflow.plan.parts import outlet_of
+from granflow.plan.plan import Plan
+from granflow.plan.time_step import stable_step
+from granflow.snapshot import WallPose
+
+# Accounting on the host: inserted and deleted particles with their energies.
+
+EXIT_FACES = ("x_min", "y_min", "z_min", "x_max", "y_max", "z_max")
+"""Names of the faces of the domain at the smallest and the largest coordinates."""
+
+
+@dataclass
+class Accounting:
+    """Counts and energies since the start, and BY_ID: material, group and insertion time of every particle by its id.
+
+    inserted_count:          number of inserted particles
+    deleted_count:           number of deleted particles
+    deleted_mass:            [kg]
+    inserted_energy:         mechanical energy [J] of inserted particles, and of contacts of walls that appeared
+    removed_energy:          mechanical energy [J] of deleted particles
+    removed_kinetic_energy:  translational and rotational part of it [J]
+    material, group:         lists of integer arrays (k,), numbers of the scene, concatenated at first use
+    insertion_time:          likewise, float64 [s]
+    """
+
+    inserted_count: int = 0
+    deleted_count: int = 0
+    deleted_mass: float = 0.0
+    inserted_energy: float = 0.0
+    removed_energy: float = 0.0
+    removed_kinetic_energy: float = 0.0
+    energy_put_in: float = 0.0
+    """Largest energy input [J] at all observations so far; see `energy_input`."""
+    outlets: dict[str, list[float]] = field(default_factory=dict)
+    """Count and mass [kg] of the particles deleted by each outlet."""
+    exits: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXIT_FACES, 0))
+    """Number of particles that left the domain outside all outlets, by the face of the domain."""
+    queued_count: int | None = None
+    """Particles queued for insertion; None without insertion."""
+    material: list[np.ndarray] = field(default_factory=list)
+    group: list[np.ndarray] = field(default_factory=list)
+    insertion_time: list[np.ndarray] = field(default_factory=list)
+
+    def insert(self, material: np.ndarray, group: np.ndarray, time: float, energy: float) -> None:
+        """Record particles inserted at `time` [s]: materials and groups (k,) of the scene, mechanical energy [J]."""
+        self.inserted_count += len(group)
+        self.inserted_energy += energy
+        self.material.append(material)
+        self.group.append(group)
+        self.insertion_time.append(np.full(len(group), time))
+
+    def delete(self, arrays: Mapping[str, np.ndarray], outlet_index: np.ndarray, gravity: np.ndarray) -> None:
+        """Record deleted particles.
+
+        arrays:        as for `mechanical_energy`
+        outlet_index:  (n,) index of the outlet that deletes each particle, -1 for none
+        gravity:       (3,) [m/s2]
+        """
+        kinetic, rotational, potential = mechanical_energy(arrays, gravity)
+        self.deleted_count += len(arrays["mass"])
+        self.deleted_mass += exact_sum(arrays["mass"])
+        self.removed_energy += kinetic + rotational + potential
+        self.removed_kinetic_energy += kinetic + rotational
+        for index, sums in enumerate(self.outlets.values()):
+            by_outlet = outlet_index == index
+            sums[0] += float(by_outlet.sum())
+            sums[1] += exact_sum(arrays["mass"][by_outlet])
+
+    def count_exits(self, faces: np.ndarray) -> None:
+        """Count particles that left the domain outside all outlets; `faces` (k,): indices in EXIT_FACES."""
+        for index, name in enumerate(EXIT_FACES):
+            self.exits[name] += int((faces == index).sum())
+
+    def count_removed(self, mass: np.ndarray) -> None:
+        """Count particles with these masses (k,) [kg] that are removed from Python.
+
+        The change of `Engine.stored_energy` contains their energy.
+        """
+        self.deleted_count += len(mass)
+        self.deleted_mass += exact_sum(mass)
+
+    def set_group(self, ids: np.ndarray, group: np.ndarray) -> None:
+        """Set the group numbers (n,) of particles with ids (n,)."""
+        groups = self.by_id("group", np.arange(self.inserted_count)).copy()
+        groups[ids] = group
+        self.group[:] = [groups]
+
+    def by_id(self, name: str, ids: np.ndarray) -> np.ndarray:
+        """One of BY_ID (n,) for particle ids (n,)."""
+        parts = getattr(self, name)
+        if len(parts) > 1:
+            parts[:] = [np.concatenate(parts)]
+        return parts[0][ids] if parts else np.zeros(len(ids), BY_ID[name])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Numbers, BY_NAME, and BY_ID (inserted_count,), for checkpoints."""
+        ids = np.arange(self.inserted_count)
+        by_id = {name: self.by_id(name, ids) for name in BY_ID}
+        return {name: getattr(self, name) for name in (*SAVED_NUMBERS, *BY_NAME)} | by_id
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore a state of `state_dict`."""
+        for name in (*SAVED_NUMBERS, *BY_NAME):
+            setattr(self, name, saved[name])
+        for name in BY_ID:
+            setattr(self, name, [saved[name]])
+
+
+BY_ID = {"material": np.int32, "group": np.int32, "insertion_time": np.float64}
+"""Types of the arrays of Accounting that have an entry for every particle id."""
+BY_NAME = ("outlets", "exits")
+"""Attributes of Accounting that have an entry for each outlet and each face of the domain."""
+SAVED_NUMBERS = {each.name: each.type for each in fields(Accounting) if each.type in (int, float)}
+"""Type of each count, mass and energy of Accounting by name."""
+
+
+def mechanical_energy(
+    arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE
+) -> tuple[float, float, float]:
+    """Kinetic, rotational and gravitational energy [J] of the particles; a fixed particle contributes none.
+
+        m v^2 / 2,   (2/5) m R^2 w^2 / 2,   -m g . x        the same for any order of the particles
+
+    Each sphere of a clump contributes its share of the energies of the clump, see `of_clumps`.
+
+    arrays:   mass (n,) [kg], radius (n,) [m], position (n, 3) [m], velocity (n, 3) [m/s] and, if particles rotate,
+              angular_velocity (n, 3) [rad/s]; with clumps CLUMP_MOTION
+    gravity:  (3,) [m/s2]
+    ranks:    adds up the energies of all ranks, each of which has arrays of its own particles
+    """
+    mass = arrays["mass"].astype(float) * mobility_mask(arrays)
+    arrays = of_clumps(arrays)
+    kinetic = 0.5 * exact_sum(mass * _squares(arrays["velocity"]), ranks)
+    rotational = 0.0
+    if "angular_velocity" in arrays:
+        inertia = 0.4 * mass * arrays["radius"].astype(float) ** 2
+        doubled = inertia * _squares(arrays["angular_velocity"])
+        if ROTATION_SHARE in arrays:
+            doubled = np.where(arrays["clump"] >= 0, arrays[ROTATION_SHARE], doubled)
+        rotational = 0.5 * exact_sum(doubled, ranks)
+    x, y, z = arrays["position"].astype(float).T
+    return kinetic, rotational, -exact_sum(mass * (x * gravity[0] + y * gravity[1] + z * gravity[2]), ranks)
+
+
+def _squares(vectors: np.ndarray) -> np.ndarray:
+    """Squared length (n,) of each of the vectors (n, 3)."""
+    x, y, z = vectors.astype(float).T
+    squares: np.ndarray = x * x + y * y + z * z
+    return squares
+
+
+def energy_input(accounting: Accounting, potential: float, works: Iterable[float] = ()) -> float:
+    """Energy input [J] by gravity, initial motion, insertion, walls and periodic images.
+
+        E_in = max(E_inserted - U - U_deleted, 0) + sum of max(W, 0)
+
+    potential:  U [J], potential energy of the present particles
+    works:      W [J], work of the walls and of the images of a sheared box
+
+    E_inserted is the mechanical energy of inserted particles, U_deleted the potential energy of deleted particles. The
+    result does not depend on the origin of the potential.
+    """
+    energy_supplied = (
+        accounting.inserted_energy - potential - (accounting.removed_energy - accounting.removed_kinetic_energy)
+    )
+    return max(energy_supplied, 0.0) + sum(max(work, 0.0) for work in works)
+
+
+# Deleted particles: their arrays, and their part of the accounting.
+
+DELETED_FIELDS = tuple(
+    dict.fromkeys(("id", "mass", "radius", "position", "velocity", "angular_velocity", "fixed", *CLUMP_MOTION))
+)
+"""Fields of deleted particles that their accounting needs."""
+
+
+def deleted_particles(state: State, first: int, last: int) -> dict[str, np.ndarray]:
+    """DELETED_FIELDS of the particles with the indices `first` to `last`, exclusive, in the order of their ids.
+
+    Particles that a program has removed are left out: they are counted where it removes them.
+    """
+    arrays = copy_to_host(state, DELETED_FIELDS, first, last)
+    by_id = np.argsort(arrays["id"])
+    arrays = {name: values[by_id] for name, values in arrays.items()}
+    return {name: values[arrays["radius"] > REMOVED_BELOW] for name, values in arrays.items()}
+
+
+def account_deleted(state: State, accounting: Accounting, arrays: Mapping[str, np.ndarray]) -> None:
+    """Add deleted particles with the fields DELETED_FIELDS to the accounting.
+
+    With `on_exit: error`, sets the abort code if one of them left the domain.
+    """
+    position = of_clumps(arrays)["position"].astype(float)
+    outlet_index = _outlets_of(state.plan, position)
+    left_domain = outlet_index < 0
+    if state.plan.domain.on_exit == "error" and left_domain.any():
+        state.control.abort[0] = ABORT_LEFT_DOMAIN
+        state.control.abort_particle[0] = int(arrays["id"][left_domain].min())
+    accounting.delete(arrays, outlet_index, np.array(state.plan.gravity))
+    accounting.count_exits(_exit_faces(state.plan, position[left_domain]))
+
+
+def _exit_faces(plan: Plan, position: np.ndarray) -> np.ndarray:
+    """Index in EXIT_FACES (n,) of the face of the domain that is farthest behind each position (n, 3) [m]."""
+    beyond = np.concatenate([plan.domain_low - position, position - plan.domain_high], axis=1)
+    return np.asarray(beyond.argmax(axis=1))
+
+
+def _outlets_of(plan: Plan, position: np.ndarray) -> np.ndarray:
+    """Index of the outlet (n,) that deletes each particle at a position (n, 3) [m], -1 for none."""
+    checked_axes = [axis for axis in range(3) if plan.domain.on_exit != "expand"]
+    low, high = plan.domain_low[checked_axes], plan.domain_high[checked_axes]
+    in_domain = np.all((position[:, checked_axes] >= low) & (position[:, checked_axes] <= high), axis=1)
+    return outlet_of(plan.outlets, position, in_domain)
+
+
+# Sums over the particles for the totals of a snapshot: on the host from its arrays, or on a GPU without
+# copying them.
+#
+# Both add the same terms, rounded to the same unit, so that the order of the particles does not matter, see
+# `exact_sum`.
+
+ENERGY_COUNT = 3
+"""Kinetic, rotational and gravitational energy."""
+PARTICLE_CONTACTS, MOBILE, WALL_CONTACTS = range(ENERGY_COUNT, ENERGY_COUNT + 3)
+"""Columns of further sums: contacts of mobile particles with particles, mobile particles, contacts with walls."""
+LARGEST_SPEED_SQUARED = ENERGY_COUNT
+"""Column of the largest values."""
+
+
+@dataclass(frozen=True)
+class ParticleSums:
+    """Sums over all particles at the time of the positions.
+
+    count:                number of particles
+    energies:             kinetic, rotational and gravitational energy [J]
+    speed:                largest speed [m/s]
+    coordination_number:  mean number of contacts with particles, of mobile particles
+    wall_contact_count:   number of contacts with walls
+    """
+
+    count: int
+    energies: tuple[float, float, float]
+    speed: float
+    coordination_number: float
+    wall_contact_count: float
+
+
+def host_sums(arrays: Mapping[str, np.ndarray], gravity: np.ndarray, ranks: Gathering = ALONE) -> ParticleSums:
+    """Sums of particles on the host.
+
+    arrays:   as for `mechanical_energy`, and coordination_number (n,), wall_contact_count (n,) with walls, fixed (n,)
+              with fixed particles
+    gravity:  (3,) [m/s2]
+    ranks:    adds up the sums of all ranks
+    """
+    mobile, walls = mobility_mask(arrays), arrays.get("wall_contact_count", np.zeros(0))
+    sums = [len(arrays["mass"]), mobile @ arrays["coordination_number"], mobile.sum(), walls.sum()]
+    count, contacts, mobile_count, wall_contacts = ranks.total(np.array([sums], float))[0].tolist()
+    return ParticleSums(
+        count=int(count),
+        energies=mechanical_energy(arrays, gravity, ranks),
+        speed=ranks.largest(largest_speed(arrays["velocity"])),
+        coordination_number=contacts / max(mobile_count, 1.0),
+        wall_contact_count=wall_contacts,
+    )
+
+
+def largest_speed(velocity: np.ndarray) -> float:
+    """Largest speed [m/s] of velocities (n, 3)."""
+    return float(np.sqrt(np.einsum("ij,ij->i", velocity, velocity).max(initial=0.0)))
+
+
+def device_sums(state: State, half_step: float) -> ParticleSums:
+    """Sums of the particles on a GPU: two kernels and two arrays of REDUCED_ROWS rows.
+
+    half_step:  time [s] by which velocities are behind the positions; 0 before the first step
+    """
+    if not state.count:
+        return ParticleSums(0, (0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    find_largest, add_up = state.built(_build_particle_sums)
+    largest = np.zeros((REDUCED_ROWS, ENERGY_COUNT + 1))
+    find_largest(state.count, half_step, largest)
+    largest = largest.max(axis=0)
+    exponents = [scale_exponent(value, state.count) for value in largest[:ENERGY_COUNT].tolist()]
+    units = np.zeros((REDUCED_ROWS, WALL_CONTACTS + 1), np.int64)
+    add_up(state.count, half_step, *(2.0**exponent for exponent in exponents), units)
+    kinetic, rotational, potential = (
+        exact_total(units[:, k]) * 2.0**-exponent if np.isfinite(largest[k]) else float(largest[k])
+        for k, exponent in enumerate(exponents)
+    )
+    contacts, mobile, walls = units[:, ENERGY_COUNT:].sum(axis=0).tolist()
+    energies = (0.5 * kinetic, 0.5 * rotational, -potential)
+    speed = float(np.sqrt(largest[LARGEST_SPEED_SQUARED]))
+    return ParticleSums(state.count, energies, speed, contacts / max(mobile, 1.0), float(walls))
+
+
+def _build_particle_sums(state: State) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Kernels (count, half step, rows) and (count, half step, three scales, rows).
+
+    The first finds the largest magnitude of the energies and the largest squared speed of every REDUCED_ROWS-th
+    particle, the second their sums in units of 1 / scale, and the further sums.
+
+    Reads:  position, velocity, angular_velocity, force, torque, mass, radius, fixed, contact counts
+    """
+    particles, features = state.particles, state.plan.features
+    terms_of, to_nearest, mobility = _build_energy_terms(state), build_to_nearest(), build_mobility(state)
+    external: Any = ti.types.ndarray()
+
+    @ti.kernel
+    def find_largest(count: ti.i32, half_step: ti.f64, rows: external):
+        for row in range(REDUCED_ROWS):
+            largest, speed_squared = ti.Vector.zero(ti.f64, ENERGY_COUNT), ti.cast(0.0, ti.f64)
+            for k in range((count - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
+                terms, squared = terms_of(row + k * REDUCED_ROWS, half_step)
+                largest = ti.max(largest, ti.abs(terms))
+                speed_squared = ti.max(speed_squared, squared)
+            for energy in ti.static(range(ENERGY_COUNT)):
+                rows[row, energy] = largest[energy]
+            rows[row, LARGEST_SPEED_SQUARED] = speed_squared
+
+    @ti.kernel
+    def add_up(
+        count: ti.i32, half_step: ti.f64, kinetic: ti.f64, rotational: ti.f64, potential: ti.f64, rows: external
+    ):
+        for row in range(REDUCED_ROWS):
+            sums, scale = ti.Vector.zero(ti.i64, WALL_CONTACTS + 1), ti.Vector([kinetic, rotational, potential])
+            for k in range((count - row + REDUCED_ROWS - 1) // REDUCED_ROWS):
+                i = row + k * REDUCED_ROWS
+                terms, _squared = terms_of(i, half_step)
+                for energy in ti.static(range(ENERGY_COUNT)):
+                    sums[energy] += to_nearest(terms[energy] * scale[energy])
+                is_mobile = ti.cast(mobility(i), ti.i64)
+                sums[PARTICLE_CONTACTS] += is_mobile * particles.coordination_number[i]
+                sums[MOBILE] += is_mobile
+                if ti.static(features.walls):
+                    sums[WALL_CONTACTS] += particles.wall_contact_count[i]
+            for column in ti.static(range(WALL_CONTACTS + 1)):
+                rows[row, column] = sums[column]
+
+    return find_largest, add_up
+
+
+def _build_energy_terms(state: State) -> Any:
+    """Device function (i, half step): twice the kinetic and rotational energy and -U [J], and the squared speed.
+
+    Operations are in the order of `Engine.synchronized` and `mechanical_energy`.
+
+    Reads:  position, velocity, angular_velocity, force, torque, mass, radius, fixed
+    """
+    particles, rotation, mobility = state.particles, state.plan.features.rotation, build_mobility(state)
+    gravity = state.parameter("gravity")
+
+    @ti.func
+    def to_f64(vector):
+        return ti.cast(vector, ti.f64)
+
+    @ti.func
+    def terms_of(i, half_step):
+        mass, share = to_f64(particles.mass[i]), to_f64(mobility(i))
+        velocity = to_f64(particles.velocity[i]) + half_step * share * to_f64(particles.force[i]) / mass
+        squared = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
+        turning = ti.cast(0.0, ti.f64)
+        if ti.static(rotation):
+            radius = to_f64(particles.radius[i])
+            inertia = 0.4 * mass * (radius * radius)
+            spin = to_f64(particles.angular_velocity[i]) + half_step * share * to_f64(particles.torque[i]) / inertia
+            inertia_mobile = 0.4 * (mass * share) * (radius * radius)
+            turning = inertia_mobile * (spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2])
+        x, g = to_f64(particles.position[i]), gravity()
+        height = x[0] * g[0] + x[1] * g[1] + x[2] * g[2]
+        return ti.Vector([mass * share * squared, turning, mass * share * height]), squared
+
+    return terms_of
+
+
+# Arrays of snapshots.
+
+
+def ordered_particles(arrays: dict[str, np.ndarray], accounting: Accounting) -> dict[str, np.ndarray]:
+    """Arrays of Snapshot.particles, ordered by id, from arrays (n,) or (n, 3) in device order.
+
+    Without rotation, angular velocity and torque are zero.
+    """
+    order = np.argsort(arrays["id"], kind="stable")
+    found = {name: values[order] for name, values in arrays.items()}
+    found["id"] = found["id"].astype(np.int64)
+    for name in BY_ID:
+        found[name] = accounting.by_id(name, found["id"])
+    for name in ("angular_velocity", "torque"):
+        found.setdefault(name, np.zeros_like(found["velocity"]))
+    return found
+
+
+def wall_poses(state: State) -> dict[str, WallPose]:
+    """Present pose of every wall by name."""
+    found, displacements = {}, controlled_displacements(state)
+    for index, wall in enumerate(state.plan.walls):
+        poses = pose(state.wall_motions[index], np.array([state.clock.time]))
+        present = bool(state.walls.present[index])
+        found[wall.name] = WallPose(
+            present,
+            poses.offset[0] + displacements[index],
+            poses.rotation[0],
+            poses.pivot,
+            poses.surface_velocity[0],
+        )
+    return found
+
 
 LARGEST_ERROR = 5e-3
 """Magnitude of the energy error above which a run warns."""
-
 ROUNDING = {"f64": 1e-9, "mixed": 1e-6, "f32": 1e-5}
 """Rounding error of the energy budget, relative to its potential energies, by precision.
 
@@ -115,3 +542,126 @@ def energy_budget_totals(
         "removed_energy": removed,
         "energy_error": residual / scale if scale > 0.0 else 0.0,
     }
+
+
+# Warnings during a run from values of the snapshots, without additional work in a step.
+
+SPEED_INCREASE = 1.1
+"""Factor by which the particle speed must exceed the previous maximum for another check."""
+
+
+class StabilityMonitor:
+    """Checks at every observation that the time step is stable for the current speeds and that energy is conserved.
+
+    With the energy budget, the magnitude of its error must be below LARGEST_ERROR. Without it, kinetic and potential
+    energy must not exceed those at the start and of particles inserted since. The excess is relative to the same scale,
+    the largest energy input so far. This check requires a start without contacts, walls at rest and no cohesion.
+
+    `warnings`: logged warnings by kind ("energy", "speed"), each logged once.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.warnings: dict[str, str] = {}
+        self._fastest = plan.velocity_max
+        self._rounding = ROUNDING[plan.precision]
+        self._initial_energy = 0.0
+        self._above_since: float | None = None
+        self._enabled = not plan.features.energy_budget and _conserves_energy(plan)
+        self._started = False
+
+    def check(
+        self,
+        time: float,
+        energies: tuple[float, float, float],
+        accounting: Accounting,
+        totals: dict[str, float],
+        speed: float,
+    ) -> None:
+        """Check one snapshot; logs a warning if the energy error exceeds its limit in two consecutive snapshots.
+
+        time:        simulated time [s]
+        energies:    kinetic, rotational and gravitational energy [J]
+        accounting:  counts and energies since the start; its `energy_put_in` is updated
+        totals:      totals of the snapshot
+        speed:       largest speed of a particle [m/s]
+        """
+        self._check_speed(time, speed)
+        works = (totals[name] for name in ("wall_work", "boundary_work", "external_work") if name in totals)
+        accounting.energy_put_in = max(accounting.energy_put_in, energy_input(accounting, energies[2], works))
+        share = totals.get("energy_error", self._gained_share(energies, accounting, totals["contact_count"]))
+        earlier = self._above_since
+        self._above_since = None if not abs(share) > LARGEST_ERROR else time if earlier is None else earlier
+        if earlier is not None and self._above_since is not None and time > earlier:
+            self._enabled = False
+            self._warn_once(
+                "energy",
+                f"At {time:.6g} s the energy error is {share:.2%} of the energy input, more than {LARGEST_ERROR:.1%}: "
+                f"the time step is too long for the contacts. Lower run.time_step (now {self.plan.time_step:.3g} s) or "
+                "set run.velocity_max to the fastest impact; output.energy_budget shows the terms of the energy "
+                "budget.",
+            )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint, so that a resumed run repeats no warning."""
+        return {
+            "warnings": dict(self.warnings), "fastest": self._fastest, "initial_energy": self._initial_energy,
+            "above_since": self._above_since, "enabled": self._enabled, "started": self._started,
+        }  # fmt: skip
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`; the plan may have changed so that the energy is not conserved any more."""
+        self.warnings, self._fastest = dict(saved["warnings"]), saved["fastest"]
+        self._initial_energy, self._above_since = saved["initial_energy"], saved["above_since"]
+        self._enabled, self._started = self._enabled and saved["enabled"], saved["started"]
+
+    def _gained_share(
+        self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float
+    ) -> float:
+        """Excess energy over the largest energy input so far."""
+        energy_gain = self._energy_gain(energies, accounting, contact_count)
+        return energy_gain / accounting.energy_put_in if accounting.energy_put_in > 0.0 else 0.0
+
+    def _energy_gain(self, energies: tuple[float, float, float], accounting: Accounting, contact_count: float) -> float:
+        """Energy above the conserved total [J]; 0 if the check does not apply."""
+        if not self._enabled:
+            return 0.0
+        energy_inserted = accounting.inserted_energy - accounting.removed_energy
+        present_energy = sum(energies) - energy_inserted
+        if not self._started:
+            self._started = True
+            self._enabled = contact_count == 0
+            self._initial_energy = present_energy
+        return max(
+            present_energy - self._initial_energy - self._rounding * (abs(energies[2]) + abs(energy_inserted)), 0.0
+        )
+
+    def _check_speed(self, time: float, speed: float) -> None:
+        """Compare a fixed time step with the stable time step at the speed of the fastest particle."""
+        if self.plan.adaptive_time_step is not None or not SPEED_INCREASE * self._fastest < speed < inf:
+            return
+        self._fastest = speed
+        stable = min(stable_step(pair_case, self.plan.law, speed) for pair_case in self.plan.pair_cases)
+        if self.plan.time_step > stable:
+            self._warn_once(
+                "speed",
+                f"At {time:.6g} s the fastest particle moves at {speed:.3g} m/s, above the "
+                f"planned {self.plan.velocity_max:.3g} m/s: an impact at that speed requires a time step below "
+                f"{stable:.3g} s, but it is {self.plan.time_step:.3g} s. Set run.velocity_max to {speed:.3g} m/s.",
+            )
+
+    def _warn_once(self, kind: str, sentence: str) -> None:
+        """Log the warning once per kind."""
+        if kind not in self.warnings:
+            self.warnings[kind] = sentence
+            logging.getLogger("granflow").warning("%s", sentence)
+
+
+def _conserves_energy(plan: Plan) -> bool:
+    """True if only inserted particles can increase the energy."""
+    walls_static = all(wall.is_permanent for wall in plan.walls)
+    # Gravity along a periodic axis accelerates particles without limit.
+    has_other_work = any(plan.gravity[axis] for axis in plan.periodic_box.axes)
+    has_other_work = has_other_work or plan.features.lees_edwards
+    has_other_work = has_other_work or plan.features.external_forces
+    return walls_static and not has_other_work and not plan.features.moving_walls and not plan.laws.attracts

@@ -4,16 +4,248 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.mesh import SAME_DIRECTION, from_nearest, normal_near, triangle_contact
-from granflow.engine.periodic_box import build_near_image, build_wrap_position
+from granflow.engine.box import build_near_image, build_wrap_position
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import build_controlled_vector, upload_running
 from granflow.geometry.catalog import SHAPE_KINDS
+from granflow.geometry.mesh import NOT_OWNED, OPEN_EDGE, ROUNDING
 from granflow.geometry.motion import pose
 from granflow.geometry.plane import HALF_SPACE
 from granflow.geometry.shape import FAR_AWAY, Shape
 from granflow.kernel_language import ti
 from granflow.plan.capacities import WALL_BATCH
+
+# Mesh walls on the device: nearby triangles, and the triangle that owns a contact.
+#
+# `geometry/mesh.py` defines the owner of a contact, `geometry/mesh.py` is the numpy
+# reference implementation. All coordinates are in the frame of the mesh at rest; triangles are numbered
+# consecutively over all meshes.
+
+EPSILON = {ti.f64: float(np.finfo(np.float64).eps), ti.f32: float(np.finfo(np.float32).eps)}
+"""Relative rounding error of each type."""
+SAME_DIRECTION = 1e-6
+"""Largest sine of the angle between two normals that count as equal; above rounding in float32."""
+
+
+@ti.func
+def triangle_range(mesh: ti.template(), w, point):
+    """Range of the triangles near the point in `MeshFields.cell_triangles`; empty outside the grid of wall w.
+
+    Reads:  low, side, shape, first_cell, cell_start
+    """
+    cell_position = ti.floor((point - mesh.low[w]) / mesh.side[w])
+    begin, end = 0, 0
+    shape = mesh.shape[w]
+    inside = (cell_position[0] >= 0.0) & (cell_position[1] >= 0.0) & (cell_position[2] >= 0.0)
+    inside = inside & (cell_position[0] < shape[0]) & (cell_position[1] < shape[1]) & (cell_position[2] < shape[2])
+    if inside:
+        x, y, z = (
+            ti.cast(cell_position[0], ti.i32),
+            ti.cast(cell_position[1], ti.i32),
+            ti.cast(cell_position[2], ti.i32),
+        )
+        number = mesh.first_cell[w] + (z * shape[1] + y) * shape[0] + x
+        begin, end = mesh.cell_start[number], mesh.cell_start[number + 1]
+    return begin, end
+
+
+@ti.func
+def from_nearest(mesh: ti.template(), t, point):
+    """Vector [m] to the point from the nearest point of triangle t, on its face, an edge or a vertex.
+
+    Reads:  normal, vertex, edge_direction, length
+    """
+    normal = mesh.normal[t]
+    found = (point - mesh.vertex[3 * t]).dot(normal) * normal
+    over, nearest = 1, ti.cast(FAR_AWAY, mesh.length.dtype)
+    from_edge_nearest = found
+    for k in range(3):
+        from_corner, edge_direction = point - mesh.vertex[3 * t + k], mesh.edge_direction[3 * t + k]
+        if normal.cross(edge_direction).dot(from_corner) <= 0.0:
+            over = 0
+        from_edge = (
+            from_corner - ti.min(ti.max(from_corner.dot(edge_direction), 0.0), mesh.length[3 * t + k]) * edge_direction
+        )
+        if from_edge.norm() < nearest:
+            nearest, from_edge_nearest = from_edge.norm(), from_edge
+    if over == 0:
+        found = from_edge_nearest
+    return found
+
+
+@ti.func
+def normal_near(mesh: ti.template(), t, point, normal):
+    """Unit normal at a point near a contact of triangle t with this normal.
+
+    On the face it is that of the contact, although the triangle may own no contact of the point: the next triangle of a
+    flat surface has the same normal. Near an edge or a vertex it is the direction from the triangle.
+
+    Reads:  as `from_nearest`
+    """
+    found = normal
+    if normal.cross(mesh.normal[t]).norm_sqr() > ti.static(SAME_DIRECTION * SAME_DIRECTION):
+        separation = from_nearest(mesh, t, point)
+        distance = separation.norm()
+        if distance > 0.0:
+            found = separation / distance
+    return found
+
+
+@ti.func
+def may_own(mesh: ti.template(), t, point, slack):
+    """0 if triangle t owns no contact of any point within `slack` [m] of this point.
+
+    This is `triangle_contact` with all comparisons relaxed by `slack`: each length that it compares changes by at most
+    the displacement of the point. Without this test the neighbor list of a sphere would contain all triangles within
+    its radius, although only one or two can own a contact.
+
+    Reads:  edges, vertices and their adjacency
+    """
+    possible, k = _may_be_over_face(mesh, t, point, slack), 0
+    while possible == 0 and k < 3:
+        possible = ti.max(
+            _may_be_in_edge_region(mesh, t, k, point, slack), _may_be_above_vertex(mesh, t, k, point, slack)
+        )
+        k += 1
+    return possible
+
+
+@ti.func
+def _may_be_over_face(mesh: ti.template(), t, point, slack):
+    over = 1
+    for k in range(3):
+        edge = 3 * t + k
+        if (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge]) < -slack:
+            over = 0
+    return over
+
+
+@ti.func
+def _may_be_in_edge_region(mesh: ti.template(), t, k, point, slack):
+    edge, possible = 3 * t + k, 0
+    if mesh.role[edge] != NOT_OWNED:
+        from_vertex = point - mesh.vertex[edge]
+        along, length = from_vertex.dot(mesh.edge_direction[edge]), mesh.length[edge]
+        beyond = from_vertex.dot(mesh.inward[edge]) <= slack
+        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_vertex.dot(mesh.inward_other[edge]) <= slack)
+        possible = ti.cast(beyond and along > -slack and along < length + slack, ti.i32)
+    return possible
+
+
+@ti.func
+def _may_be_above_vertex(mesh: ti.template(), t, k, point, slack):
+    vertex_index, above = mesh.point[3 * t + k], 0
+    if mesh.owner[vertex_index] == t:
+        above = 1
+        from_vertex = point - mesh.vertex[3 * t + k]
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
+            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
+                above = 0
+            vertex_edge += 1
+    return above
+
+
+@ti.func
+def triangle_contact(mesh: ti.template(), t, point):
+    """Gap [m] and normal of the contact of a point with triangle t; FAR_AWAY if another triangle owns the contact.
+
+    Reads:  faces, edges, vertices and their adjacency, competitor_start, competitor
+    """
+    gap, gap_alone, normal = ti.cast(FAR_AWAY, mesh.length.dtype), ti.cast(FAR_AWAY, mesh.length.dtype), 0.0 * point
+    row = 2 * t + ti.cast(_height(mesh, t, point) < 0.0, ti.i32)
+    begin, entry, end = mesh.competitor_start[row], -1, mesh.competitor_start[row + 1] - mesh.competitor_start[row]
+    while entry < end:  # this triangle, then its competitors: one loop, so that `_contact_alone` is compiled once
+        candidate = t
+        if entry >= 0:
+            candidate = mesh.competitor[begin + entry]
+        if entry < 0 or ti.abs(_height(mesh, candidate, point)) <= gap_alone:
+            found, direction = _contact_alone(mesh, candidate, point)
+            if entry < 0:
+                gap, gap_alone, normal = found, found, direction
+                if not found < FAR_AWAY:
+                    end = 0
+            elif found < gap_alone or (found == gap_alone and candidate < t):
+                gap, end = ti.cast(FAR_AWAY, mesh.length.dtype), 0
+        entry += 1
+    return gap, normal
+
+
+@ti.func
+def _height(mesh: ti.template(), t, point):
+    return (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
+
+
+@ti.func
+def _contact_alone(mesh: ti.template(), t, point):
+    """As `triangle_contact`, before the comparison with competing faces."""
+    height = (point - mesh.vertex[3 * t]).dot(mesh.normal[t])
+    normal = ti.select(height < 0.0, -1.0, 1.0) * mesh.normal[t]
+    gap = ti.cast(FAR_AWAY, mesh.length.dtype)
+    near, over_count, is_vertex = 0.0 * normal, 0, 0
+    for k in range(3):
+        over_count += _over_edge(mesh, t, k, point)
+        if _above_vertex(mesh, t, k, point) == 1:
+            is_vertex = 1
+            if mesh.owner[mesh.point[3 * t + k]] == t:
+                near = point - mesh.vertex[3 * t + k]
+                gap = near.norm()
+    if is_vertex == 0 and over_count == 3:
+        gap = ti.abs(height)
+    elif is_vertex == 0:
+        for k in range(3):
+            owns, from_nearest = _in_edge_region(mesh, t, k, point)
+            if owns == 1:
+                near = from_nearest
+                gap = from_nearest.norm()
+    if over_count < 3 or is_vertex == 1:
+        if gap > 0.0 and gap < FAR_AWAY:
+            normal = near / gap
+    return gap, normal
+
+
+@ti.func
+def _over_edge(mesh: ti.template(), t, k, point):
+    """1 if the point is over the face at edge k, or exactly above an edge whose ties the triangle owns."""
+    edge = 3 * t + k
+    s = (point - mesh.vertex[3 * t + mesh.base[edge]]).dot(mesh.inward[edge])
+    return ti.cast(s > 0.0 or (s == 0.0 and mesh.owns_tie[edge] == 1), ti.i32)
+
+
+@ti.func
+def _in_edge_region(mesh: ti.template(), t, k, point):
+    """Whether the triangle owns a contact at edge k, and the vector [m] from the edge."""
+    edge = 3 * t + k
+    from_nearest, owns = point - mesh.vertex[edge], 0
+    if mesh.role[edge] != NOT_OWNED:
+        along = from_nearest.dot(mesh.edge_direction[edge])
+        from_base = point - mesh.vertex[3 * t + mesh.base[edge]]
+        beyond = from_base.dot(mesh.inward[edge]) <= 0.0
+        beyond = beyond and (mesh.role[edge] == OPEN_EDGE or from_base.dot(mesh.inward_other[edge]) <= 0.0)
+        owns = ti.cast(beyond and along > 0.0 and along < mesh.length[edge], ti.i32)
+        from_nearest -= along * mesh.edge_direction[edge]
+    return owns, from_nearest
+
+
+@ti.func
+def _above_vertex(mesh: ti.template(), t, k, point):
+    """1 if no edge at corner k is nearer to the point than the corner."""
+    vertex_index = mesh.point[3 * t + k]
+    from_vertex = point - mesh.vertex[3 * t + k]
+    slack = ti.static(ROUNDING * EPSILON[mesh.length.dtype]) * (mesh.longest[vertex_index] + from_vertex.norm())
+    above = 1
+    if (
+        from_vertex.dot(mesh.edge_direction[3 * t + k]) > 2.0 * slack
+        or from_vertex.dot(mesh.edge_direction[3 * t + (k + 2) % 3]) < -2.0 * slack
+    ):
+        above = 0
+    if above == 1:
+        vertex_edge = mesh.vertex_edge_start[vertex_index]
+        while above == 1 and vertex_edge < mesh.vertex_edge_start[vertex_index + 1]:
+            if mesh.vertex_edge[vertex_edge].dot(from_vertex) > slack:
+                above = 0
+            vertex_edge += 1
+    return above
 
 
 class WallGeometry:

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from granflow.geometry.mesh.grid import distances, grid_over
-from granflow.geometry.mesh.mesh import Mesh
+from granflow.geometry.mesh import Mesh, distances, grid_over
 from granflow.geometry.plane import HALF_SPACE, RECTANGLE
 from granflow.geometry.revolved import REVOLVED
 from granflow.geometry.shape import Shape, ShapeKind

@@ -3,15 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import pi
+from typing import TypeVar
 
 import numpy as np
 
 PARAMETER_COUNT = 16
 """Number of parameters of every shape, so that all shapes fit one device field."""
-
 RIGHT_ANGLE_COSINE = 1e-6
 """Largest absolute cosine of an angle that is accepted as 90 deg."""
-
 FAR_AWAY = 1e9
 """Distance [m] returned if a surface does not own the contact (see `shared_edges`): larger than any radius plus skin,
 and small enough for its square to be finite in float32."""
@@ -123,3 +123,18 @@ def distance_from_axis(points: np.ndarray, point: np.ndarray, axis: np.ndarray) 
 def is_parallel(first: np.ndarray, second: np.ndarray, tolerance: float = 1e-9) -> bool:
     """Whether two unit vectors (3,) are parallel or antiparallel; `tolerance` limits the sine of their angle."""
     return bool(np.linalg.norm(np.cross(first, second)) <= tolerance)
+
+
+# Volume and mass of spheres.
+
+Number = TypeVar("Number", float, np.ndarray)
+
+
+def sphere_volume(radius: Number) -> Number:
+    """Volume 4/3 pi R^3 [m3] of spheres with radii [m]."""
+    return 4.0 / 3.0 * pi * radius**3
+
+
+def sphere_mass(radius: Number, density: Number | float) -> Number:
+    """Mass [kg] of spheres with radii [m] and density [kg/m3]."""
+    return sphere_volume(radius) * density

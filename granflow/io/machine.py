@@ -2,6 +2,7 @@
 
 import os
 import re
+import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from math import ceil
@@ -10,12 +11,24 @@ from pathlib import Path
 
 from granflow.errors import GranflowError
 
+# Free memory of the NVIDIA GPU that CUDA uses, from nvidia-smi, which is part of the driver.
+
+
+def free_gpu_memory() -> int | None:
+    """Free memory [bytes] of the first GPU in CUDA_VISIBLE_DEVICES, or of the first; None if it is unknown."""
+    device = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0] or "0"
+    command = ["nvidia-smi", f"--id={device}", "--query-gpu=memory.free", "--format=csv,noheader,nounits"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        return int(done.stdout.split()[0]) << 20  # in MiB
+    except (OSError, ValueError, IndexError, subprocess.TimeoutExpired):
+        return None
+
+
 ROOT = Path("/")
 """Root of the file system; tests replace it."""
-
 SLURM = "SLURM_CPUS_PER_TASK"
 """Environment variable with the number of cores of a Slurm task."""
-
 MEMORY_FILES = (
     ("memory.max", "memory.current", "inactive_file"),
     ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),

@@ -1,22 +1,29 @@
 """Tables of text with named columns: one reader for particles, time series and measurements, and one writer (CSV)."""
 
 import csv
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from io import StringIO
+from io import FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from granflow.errors import FileError
-from granflow.io.atomic_files import replacing
-from granflow.io.regular_files import LARGEST_FILE, read_regular_text
+from granflow.errors import FileError, GranflowError
+from granflow.io.files import (
+    LARGEST_FILE,
+    LostFiles,
+    identity_of,
+    named_errors,
+    read_regular_text,
+    replacing,
+    separate_from_links,
+)
 
 COMMENT = "#"
 """First character of lines that are ignored; a header may begin with it as well."""
-
 MOST_COMMENTS = 100
 """Number of lines that may precede the header."""
 
@@ -155,3 +162,254 @@ def write_table(path: Path, names: Iterable[str], rows: Iterable[Iterable[Any]])
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         file.writelines(csv_line(cells) for cells in (names, *rows))
+
+
+# `collision_energies.csv`: its name, its columns, and its counts by interval and class.
+
+FILE = "collision_energies.csv"
+"""Name of the file in the directory of a run."""
+COLUMNS = (
+    "time_start [s]", "time_end [s]", "contact", "energy_min [J]", "energy_max [J]", "count", "count_total",
+)  # fmt: skip
+"""Columns of the file."""
+
+
+@dataclass(frozen=True)
+class CollisionTable:
+    """Numbers of collisions by kind of contact ("particle" or "wall"), in i intervals and c classes of impact energy.
+
+    time:    ends of the intervals (i,) [s]
+    edges:   of the classes (c, 2) [J]; the first one begins at 0, the last one ends at infinity
+    counts:  (i, c) contacts that began in the interval, by kind
+    totals:  (i, c) contacts that began since the start of the run, by kind
+    """
+
+    time: np.ndarray
+    edges: np.ndarray
+    counts: dict[str, np.ndarray]
+    totals: dict[str, np.ndarray]
+
+    @property
+    def energy(self) -> np.ndarray:
+        """Logarithmic centers (c,) [J] of the classes; nan for the first and the last one, which are open."""
+        center = np.full(len(self.edges), np.nan)
+        center[1:-1] = np.sqrt(self.edges[1:-1, 0] * self.edges[1:-1, 1])
+        return center
+
+
+def has_collisions(names: Sequence[str]) -> bool:
+    """Whether these are the columns of `collision_energies.csv`."""
+    return tuple(names) == COLUMNS
+
+
+def collision_table(table: Table) -> CollisionTable | None:
+    """The counts in a table with the columns COLUMNS, without an incomplete last interval; None if none is complete."""
+    rows = table.complete()
+    column = {name.partition(" [")[0]: rows.numbers(k) for k, name in enumerate(COLUMNS) if name != "contact"}
+    end, kinds = column["time_end"], list(dict.fromkeys(rows.texts(COLUMNS.index("contact"))))
+    size = int(np.sum(end == end[0])) if len(end) else 0
+    if not size or size % len(kinds) or np.isfinite(column["energy_max"][size - 1]):
+        return None
+    shape = (len(end) // size, len(kinds), size // len(kinds))
+    arrays = {name: values[: shape[0] * size].reshape(shape) for name, values in column.items()}
+    return CollisionTable(
+        arrays["time_end"][:, 0, 0],
+        np.stack([arrays["energy_min"][0, 0], arrays["energy_max"][0, 0]], axis=1),
+        {kind: arrays["count"][:, k] for k, kind in enumerate(kinds)},
+        {kind: arrays["count_total"][:, k] for k, kind in enumerate(kinds)},
+    )
+
+
+# A CSV file that grows by rows during a run, and that a resumed run continues.
+
+
+class RowFile:
+    """Rows of a CSV file, flushed one by one.
+
+    `path`: of the file; it replaces an existing one at the first row, unless a state was restored.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: FileIO | None = None
+        self._size, self._unwritten = 0, b""
+        self._last = b""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there are no rows yet, not even a header."""
+        return not self._size and not self._unwritten
+
+    def write(self, row: Sequence[Any], replaces_last: bool = False) -> None:
+        """Write one row and flush it; bytes that could not be written are kept for the next call.
+
+        `replaces_last`: in place of the last row, if that is completely written. Raises LostFiles if another program
+        has moved, deleted, replaced or changed the file, OSError if it cannot be written.
+        """
+        line = csv_line(row).encode()
+        self._open()
+        self.check()
+        if replaces_last and not self._unwritten:
+            self._cut(self._size - len(self._last))
+        self._unwritten += line
+        self._last = line
+        self._write_rest()
+
+    def _open(self) -> FileIO:
+        if self._file is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            separate_from_links(self.path)
+            self._file = FileIO(self.path, "a" if self._size else "w")
+        return self._file
+
+    def _cut(self, size: int) -> None:
+        """Remove the bytes after `size` from the open file."""
+        file = self._open()
+        with named_errors(self.path):
+            file.truncate(size)
+            file.seek(size)
+        self._size = size
+
+    def _write_rest(self) -> None:
+        """Write the bytes that are not written yet."""
+        file = self._open()
+        with named_errors(self.path):
+            while self._unwritten:
+                written = file.write(self._unwritten)
+                self._size, self._unwritten = self._size + written, self._unwritten[written:]
+
+    def check(self) -> None:
+        """Raise LostFiles if the path leads to another file than the open one, or if that has another size."""
+        if self._file is None:
+            return
+        try:
+            found = os.stat(self.path)
+        except OSError:
+            raise LostFiles(self.path, "it was moved or deleted during the run") from None
+        own = os.fstat(self._file.fileno())
+        if identity_of(found) != identity_of(own):
+            raise LostFiles(self.path, "another file has replaced it during the run")
+        if own.st_size != self._size:
+            raise LostFiles(
+                self.path, f"another program has changed it: it has {own.st_size} bytes, and the run wrote {self._size}"
+            )
+
+    def close(self) -> None:
+        """Close the file; a further row opens it again."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def sync(self) -> None:
+        """Flush all rows to the disk. Raises OSError."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the file size [bytes] without the last row, which a later one may replace, and this row.
+
+        If bytes could not be written: the size, and these bytes.
+        """
+        last = b"" if self._unwritten else self._last
+        return {"size": self._size - len(last), "unwritten": (last or self._unwritten).decode()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`; the file is not modified yet."""
+        self._size, self._unwritten = saved["size"], saved["unwritten"].encode()
+        self._last = self._unwritten
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether the file still contains all rows of the restored state."""
+        return self._present_size() >= self._size
+
+    def truncate(self) -> None:
+        """Remove the rows after the restored state; if earlier rows are missing, continue with the remaining ones.
+
+        Raises OSError if the last row of the restored state cannot be written.
+        """
+        if self._size:
+            self._size = min(self._size, self._present_size())
+            if self._size:
+                separate_from_links(self.path)
+                os.truncate(self.path, self._size)
+                self._write_rest()
+                self.close()
+            else:
+                self._unwritten = self._last = b""  # the next row follows a new header
+
+    def _present_size(self) -> int:
+        """Size of the file [bytes]."""
+        return self.path.stat().st_size if self.path.is_file() else 0
+
+
+# `timeseries.csv` as columns with units.
+
+TIME, STAGE = "time", "stage"
+"""Names of the first two columns of timeseries.csv."""
+
+
+@dataclass(frozen=True)
+class SeriesColumn:
+    """One quantity over time: `name` as in the file, with the part after a dot, unit ("" for a number), values (n,)."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """Name for display: "flow mass, outlet"."""
+        quantity, _, part = self.name.partition(".")
+        return quantity.replace("_", " ") + (f", {part}" if part else "")
+
+
+@dataclass(frozen=True)
+class TimeSeriesTable:
+    """All columns over `time` (n,) [s], the stage of each row (n,), and start time [s] and name of each stage."""
+
+    time: np.ndarray
+    stage: np.ndarray
+    columns: tuple[SeriesColumn, ...]
+    stages: tuple[tuple[float, str], ...]
+
+
+def read_series(path: Path) -> TimeSeriesTable | None:
+    """Columns of a time series file; None if it does not exist or has no rows.
+
+    Raises GranflowError if the file is not CSV.
+    """
+    found = table_of_run(path) if path.exists() else None
+    return None if found is None else series_in(found)
+
+
+def table_of_run(path: Path) -> Table | None:
+    """The table in a CSV file that a run wrote; None without a header. Raises GranflowError if it is not CSV."""
+    try:
+        return read_table(path)
+    except FileError as error:
+        raise GranflowError(f"{path} cannot be read ({error}); remove it, or run again.") from None
+
+
+def series_in(found: Table) -> TimeSeriesTable | None:
+    """Columns of a table without its incomplete rows; None if it has no rows or no column `time`.
+
+    Cells that are not numbers become nan.
+    """
+    table, labels = found.complete(), [_split(head) for head in found.names]
+    names = [name for name, _ in labels]
+    if not table.rows or TIME not in names:
+        return None
+    numbers = {name: table.numbers(k) for k, name in enumerate(names) if name != STAGE}
+    time = numbers.pop(TIME)
+    units = dict(labels)
+    columns = tuple(SeriesColumn(name, units[name], values) for name, values in numbers.items())
+    stage = table.texts(names.index(STAGE)) if STAGE in names else [""] * len(time)
+    begins = [(float(time[k]), name) for k, name in enumerate(stage) if name and (k == 0 or stage[k - 1] != name)]
+    return TimeSeriesTable(time, np.array(stage), columns, tuple(begins))
+
+
+def _split(head: str) -> tuple[str, str]:
+    """Name and unit of "kinetic_energy [J]"."""
+    name, _, unit = head.partition(" [")
+    return name, unit.removesuffix("]")

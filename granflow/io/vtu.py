@@ -23,8 +23,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from granflow.io.atomic_files import replacing
-from granflow.io.regular_files import FormatError, read_regular
+from granflow.io.files import FormatError, read_regular, replacing
 
 if TYPE_CHECKING:
     import meshio

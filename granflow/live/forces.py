@@ -10,11 +10,10 @@ import numpy as np
 from granflow.arguments import item_at, refuse_other, shown
 from granflow.device_functions import reason_of
 from granflow.engine.backend import Backend
-from granflow.engine.force.external_forces import compile_alone
+from granflow.engine.particle_forces import compile_alone
 from granflow.errors import FunctionError, GranflowError
-from granflow.live.values import finite, real_array
-from granflow.plan.external_forces import ExternalForce, ParameterValue
-from granflow.plan.plan import Plan
+from granflow.live.particles import finite, real_array
+from granflow.plan.plan import ExternalForce, ParameterValue, Plan
 from granflow.runs.run_state import RunState
 
 ARGUMENTS = ("position", "velocity", "radius", "mass", "time", "parameters")

@@ -1,20 +1,283 @@
 """The particles of a simulation, read and changed from Python while it runs."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from granflow.engine.changes import present_indices, remove_particles, write_particles
-from granflow.engine.engine import Engine
+from granflow.arguments import shown
+from granflow.engine.engine import Engine, present_indices, remove_particles, write_particles
 from granflow.errors import GranflowError
-from granflow.geometry.sphere import sphere_mass
-from granflow.live.new_particles import particle_data, refuse_other_arguments, refuse_without_pair
-from granflow.live.particle_array import ParticleArray
-from granflow.live.values import finite, in_domain, named, real_array
+from granflow.geometry.shape import sphere_mass
+from granflow.particles.group import ParticleData
+from granflow.plan.parts import PlannedGroup
+from granflow.plan.plan import Plan
 from granflow.runs.run_state import RunState
-from granflow.scene.suggest import suggestion_sentence
+from granflow.scene.checks import pair_name, possible_contacts
+from granflow.scene.model import suggestion_sentence
+
+# Checks of values from Python; each raises GranflowError with one sentence.
+
+LARGEST = 1e30
+"""Largest magnitude of a number [SI], as in a scene; squares of larger ones overflow in single precision."""
+
+
+def real_array(name: str, given: Any) -> np.ndarray:
+    """The numbers in a value as a new float64 array of any shape.
+
+    Raises GranflowError for what is not real numbers: text, None, truth values, complex numbers, masked entries.
+    """
+    try:
+        values = np.array(given)
+        if values.dtype.kind not in "iuf" and not (values.dtype.kind == "O" and None not in values.ravel().tolist()):
+            raise TypeError
+        if np.ma.is_masked(given):
+            raise GranflowError(f"{name} has masked entries, whose values are unknown: fill them.")
+        return values.astype(np.float64)
+    except (ValueError, TypeError, OverflowError):
+        kind = "complex numbers" if np.iscomplexobj(given) else shown(given)
+        raise GranflowError(f"{name} is {kind}, but must be real numbers, such as 0.5 or [0, 0, 1].") from None
+
+
+def finite(name: str, values: np.ndarray) -> np.ndarray:
+    """The values, all of which must be finite and of a magnitude that occurs."""
+    if not np.isfinite(values).all():
+        first = values[~np.isfinite(values)].flat[0]
+        raise GranflowError(f"{name} contains {first}; all values must be finite.")
+    if (np.abs(values) > LARGEST).any():
+        first = values[np.abs(values) > LARGEST].flat[0]
+        raise GranflowError(f"{name} contains {first:g}; a value of this magnitude is out of range.")
+    return values
+
+
+def array_of(name: str, given: object, count: int, width: int | None) -> np.ndarray:
+    """An array (count,) or (count, width) of finite numbers, from one entry for all or one for each."""
+    shape = (count,) if width is None else (count, width)
+    values = real_array(name, given)
+    if values.shape not in (shape, shape[1:]):
+        remedy = f"; give its transpose, {name}.T" if values.ndim == 2 and width == len(values) else ""
+        raise GranflowError(f"{name} has the shape {values.shape}, but must have {shape} or {shape[1:]}{remedy}.")
+    return finite(name, np.broadcast_to(values, shape).copy())
+
+
+def in_domain(plan: Plan, name: str, position: np.ndarray) -> None:
+    """Positions (n, 3) [m] must be inside the domain, unless it expands."""
+    if plan.domain.on_exit == "expand":
+        return
+    outside = np.any((position < plan.domain_low) | (position > plan.domain_high), axis=1)
+    if outside.any():
+        point, low, high = (
+            list(map(float, each)) for each in (position[outside][0], plan.domain_low, plan.domain_high)
+        )
+        raise GranflowError(f"{name} contains {point} m, which is outside the domain from {low} to {high} m.")
+
+
+def named(what: str, name: str, names: Sequence[str]) -> int:
+    """The index of a name among `names`."""
+    if name not in names:
+        raise GranflowError(f"{what} is {name!r}, but must be one of {', '.join(names)}.")
+    return list(names).index(name)
+
+
+# Particles that are added from Python: arguments to arrays.
+
+ARGUMENTS = ("position", "diameter", "material", "velocity", "group", "angular_velocity")
+"""Arguments of `LiveParticles.add`."""
+
+
+def refuse_other_arguments(given: Iterable[str]) -> None:
+    """Raise GranflowError for the first of these arguments, which `LiveParticles.add` does not have."""
+    for name in given:
+        remedy = "Give diameter, twice the radius."
+        if name != "radius":
+            remedy = suggestion_sentence(name, ARGUMENTS, "arguments")
+        raise GranflowError(f"particles.add has no argument {name}. {remedy}")
+
+
+def particle_data(
+    plan: Plan,
+    position: Any,
+    diameter: Any,
+    material: str | None,
+    velocity: Any,
+    group: str | None,
+    angular_velocity: Any,
+) -> ParticleData:
+    """Arrays of new particles from the arguments of `LiveParticles.add`. Raises GranflowError."""
+    centers = np.asarray(position, dtype=object)
+    count = 1 if centers.ndim == 1 and centers.shape == (3,) else len(centers) if centers.ndim else 0
+    number = _group_number(plan, material, group)
+    chosen = plan.groups[number]
+    position = array_of("position", position, count, 3)
+    in_domain(plan, "position", position)
+    velocity = array_of("velocity", velocity, count, 3)
+    angular_velocity = array_of("angular_velocity", angular_velocity, count, 3)
+    if chosen.fixed and (velocity.any() or angular_velocity.any()):
+        raise GranflowError(f"group is {chosen.name}, which is fixed: leave out velocity and angular_velocity.")
+    return ParticleData(
+        position=position,
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        radius=0.5 * _diameters(plan, chosen, diameter, count),
+        material=np.full(count, list(plan.solids).index(chosen.material), dtype=np.int32),
+        group=np.full(count, number, dtype=np.int32),
+    )
+
+
+def refuse_without_pair(plan: Plan, counts: np.ndarray) -> None:
+    """Raise GranflowError if particles can be in contact without constants of their pair.
+
+    `counts`: number of particles of each group: present, added, and to be inserted.
+    """
+    mobile, fixed = Counter[str](), Counter[str]()
+    for group, count in zip(plan.groups, counts, strict=True):
+        if count:
+            (fixed if group.fixed else mobile)[group.material] += int(count)
+    for both, reason in possible_contacts(mobile, fixed, walls={}).items():
+        if (min(both), max(both)) not in plan.pair_materials:
+            raise GranflowError(f"{reason} now, but the scene has no pair {pair_name(both)}; add it to pairs.")
+
+
+def _group_number(plan: Plan, material: str | None, group: str | None) -> int:
+    """Number of the group: given, or the only one of the material, or of the scene."""
+    names, materials = [each.name for each in plan.groups], [each.material for each in plan.groups]
+    if material is not None:
+        named("material", material, list(dict.fromkeys(materials)))
+    if group is None and material is None and len(names) > 1:
+        raise GranflowError(f"group is missing: give one of {', '.join(names)}.")
+    if group is None and material is not None and materials.count(material) > 1:
+        both = [name for name, each in zip(names, materials, strict=True) if each == material]
+        raise GranflowError(f"group is missing: {', '.join(both)} are of {material}.")
+    if group is None:
+        return 0 if material is None else materials.index(material)
+    number = named("group", group, names)
+    if material not in (None, materials[number]):
+        raise GranflowError(f"material is {material!r}, but the group {group} is of {materials[number]}.")
+    return number
+
+
+def _diameters(plan: Plan, group: PlannedGroup, given: Any, count: int) -> np.ndarray:
+    """Diameters (count,) [m]: given, or that of the group. Those of the scene bound them."""
+    low, high = group.diameters
+    if given is None and low < high:
+        raise GranflowError(
+            f"diameter is missing: the group {group.name} has diameters from {low:.6g} to {high:.6g} m."
+        )
+    diameter = array_of("diameter", low if given is None else given, count, None)
+    smallest, largest = 2.0 * plan.radius_min, 2.0 * plan.radius_max
+    outside = (diameter < smallest) | (diameter > largest)
+    if outside.any():
+        raise GranflowError(
+            f"diameter contains {diameter[outside][0]:.6g} m, but the diameters of the scene, on which time step and "
+            f"neighbor lists depend, lie in [{smallest:.6g}, {largest:.6g}] m."
+        )
+    return diameter
+
+
+# Arrays of particle properties that write through to the device.
+
+
+class ParticleArray(NDArrayOperatorsMixin):
+    """One property of all particles, in the order of their ids: a reference to the simulation, not an array of its own.
+
+    Reading copies the present values from the device: indexing, `np.asarray`, arithmetic and comparisons return
+    independent numpy arrays, which later steps do not change. Assigning to an index (`velocity[mask] = 0`,
+    `velocity[mask, 2] *= 0.5`), and in-place operators (`velocity *= 0.5`), write through. Writing to a copy
+    (`velocity[mask][0] = 1`) has no effect on the simulation.
+
+    `owner`, `name`: particles and name of the property; `read`: function that returns a new array; `write`: function
+    that writes an array of the same shape, or None if the property is read-only.
+    """
+
+    def __init__(
+        self, owner: object, name: str, read: Callable[[], np.ndarray],
+        write: Callable[[np.ndarray], None] | None = None,
+    ) -> None:  # fmt: skip
+        self._owner, self._name, self._read, self._write = owner, name, read, write
+
+    def is_of(self, owner: object, name: str) -> bool:
+        """Whether this is the property `name` of these particles."""
+        return self._owner is owner and self._name == name
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self._read(), dtype=dtype)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._read()[index]
+
+    def __setitem__(self, index: Any, values: Any) -> None:
+        """Write values; raises GranflowError for a read-only property, a wrong shape, or values that are not valid."""
+        present = self._read()
+        if self._write is None:
+            raise GranflowError(f"particles.{self._name} is read-only.")
+        is_text = present.dtype.kind == "U"
+        changed = present.astype(object) if is_text else present.copy()
+        try:
+            changed[index] = np.asarray(values) if is_text else real_array(f"particles.{self._name}", values)
+        except (ValueError, IndexError, TypeError) as error:
+            shape, selected = np.shape(values), _shape(present, index)
+            if selected is None or shape in ((), selected):
+                raise GranflowError(f"particles.{self._name}, of the shape {present.shape}: {error}.") from None
+            remedy = f"; give the transpose of the values, of the shape {selected}" if shape == selected[::-1] else ""
+            raise GranflowError(
+                f"particles.{self._name}: values of the shape {shape} are given for {selected}{remedy}."
+            ) from None
+        self._write(changed)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
+        """Apply a function of numpy to copies; with `out`, write the result."""
+        arrays = [np.asarray(each) if isinstance(each, ParticleArray) else each for each in inputs]
+        (out,) = keywords.pop("out", (None,))
+        if not isinstance(out, ParticleArray):
+            return getattr(ufunc, method)(*arrays, **keywords, **({} if out is None else {"out": out}))
+        out[...] = getattr(ufunc, method)(*arrays, **keywords)
+        return out
+
+    def __len__(self) -> int:
+        return len(self._read())
+
+    def __iter__(self) -> Iterator[Any]:
+        """Iterate over copies that are read-only, because writing to them has no effect on the simulation."""
+        values = self._read()
+        values.flags.writeable = False
+        return iter(values)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Raises AttributeError: a name cannot be assigned, only an index."""
+        if not name.startswith("_"):
+            raise AttributeError(f"particles.{self._name}.{name} cannot be set: assign to particles.{self._name}[...].")
+        super().__setattr__(name, value)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape (n,) or (n, 3) for the present number of particles."""
+        return self._read().shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the copies."""
+        return self._read().dtype
+
+    def __getattr__(self, name: str) -> Any:
+        """Attributes and methods of a copy, such as `mean`. Raises AttributeError for unknown and private ones."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._read(), name)
+
+    def __repr__(self) -> str:
+        return f"particles.{self._name}: {self._read()!r}"
+
+
+def _shape(values: np.ndarray, index: Any) -> tuple[int, ...] | None:
+    """Shape of the indexed part of an array; None for an index that does not exist."""
+    try:
+        return np.shape(values[index])
+    except (IndexError, TypeError):
+        return None
+
 
 LARGER = 2
 """Factor by which the capacity grows if there is no space for added particles."""

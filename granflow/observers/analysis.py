@@ -8,11 +8,10 @@ from granflow.errors import GranflowError
 from granflow.fields import METRIC_QUANTITIES
 from granflow.io.tables import write_table
 from granflow.load import Scene
-from granflow.observers.base import CONTACTS
 from granflow.observers.build import field_frames
-from granflow.observers.coarse_graining.field_frames import FieldFrames
-from granflow.observers.metrics.build import metric_meters
-from granflow.observers.metrics.meter import MetricMeter
+from granflow.observers.frames import FieldFrames
+from granflow.observers.metrics import MetricMeter, metric_meters
+from granflow.observers.observer import CONTACTS
 from granflow.plan.build import plan_for
 from granflow.snapshot import Snapshot
 

@@ -7,19 +7,15 @@ from typing import Any
 import numpy as np
 
 from granflow.geometry.catalog import area_of, triangles
-from granflow.io.background_writer import BackgroundWriter
+from granflow.io.files import BackgroundWriter
 from granflow.io.frames import WritePieces
-from granflow.observers.base import Observer
-from granflow.observers.coarse_graining.field_frames import FieldFrames
-from granflow.observers.coarse_graining.field_grid import grid_for
-from granflow.observers.coarse_graining.kernel import GaussianKernel
-from granflow.observers.collision_energies import CollisionEnergies
+from granflow.observers.coarse_graining import GaussianKernel, grid_for
 from granflow.observers.flow_meters import FlowMeter
-from granflow.observers.metrics.build import metric_meters
+from granflow.observers.frames import ContactFrames, FieldFrames, ParticleFrames, WallFrames
+from granflow.observers.metrics import metric_meters
+from granflow.observers.observer import Observer
 from granflow.observers.progress import ProgressDisplay
-from granflow.observers.timeseries import TimeSeries
-from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
-from granflow.observers.wall_forces import WallForceMeter
+from granflow.observers.timeseries import CollisionEnergies, TimeSeries, WallForceMeter
 from granflow.plan.plan import Plan
 
 

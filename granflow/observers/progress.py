@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
-from granflow.observers.schedule import ScheduledObserver
+from granflow.observers.observer import ScheduledObserver
 from granflow.snapshot import Snapshot
 
 if TYPE_CHECKING:

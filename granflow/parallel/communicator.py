@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.engine.ranks import Arrays
+from granflow.engine.state import Arrays
 from granflow.errors import GranflowError
 
 COMMAND_TAG, GHOST_TAG = 1, 2

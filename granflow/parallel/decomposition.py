@@ -3,6 +3,7 @@
 Which rank owns a particle has no influence on the bits of a run.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,6 @@ from granflow.parallel.communicator import Communicator
 
 BISECTIONS = 40
 """Halvings of the range of a cut: its position is then exact to 1e-12 of the size of the bed."""
-
 NO_CUT = -1
 """Axis of a node that belongs to one rank."""
 
@@ -108,3 +108,108 @@ def _cuts(
         below = summed(along < middle[part])
         begin, end = np.where(below < wanted, middle, begin), np.where(below < wanted, end, middle)
     return axes, end
+
+
+# Balance of the computing time of the ranks: when particles migrate, and the weights of a new
+# decomposition.
+#
+# The rule depends on measured times. Which rank owns a particle has no influence on the bits of a run.
+
+IMBALANCE = 1.03
+"""Largest over mean cost of a rank above which a migration decomposes space again."""
+LOSS = 2.0
+"""A migration is due if imbalance has cost this multiple of the time of a migration since the last one."""
+PARTICLE_WEIGHT, CONTACT_WEIGHT = 2, 1
+"""Cost of a particle with six walls, and of a contact in the list of one particle: 40 and 24 ns, measured."""
+LARGEST_FACTOR = 2.0
+"""Limit of the measured cost of a unit of weight on a rank over the mean, and of its inverse."""
+SHORTEST_STEP = 5e-4
+"""Mean computing time [s] of a step below which costs are those of the weights: it is mostly that of the launches."""
+WEIGHT_STEPS = 256
+"""Integer steps of a weight: sums of integers are equal on all ranks."""
+
+
+@dataclass(frozen=True)
+class MeasuredCost:
+    """Times of one rank since the last migration.
+
+    step:       mean computing time [s] of a step, without messages; infinite if it has taken none
+    steps:      number of steps
+    migration:  time [s] of that migration
+    """
+
+    step: float
+    steps: int
+    migration: float
+
+
+class LoadBalance:
+    """Decomposes space into parts of equal cost.
+
+    The cost of a particle is its weight, which grows with its contacts, times the time per weight that its rank has
+    measured: the mean of the steps since the last migration, so that a slower or shared core has fewer particles.
+
+    `migration_seconds`: time [s] of the last migration.
+    """
+
+    def __init__(self, communicator: Communicator) -> None:
+        self._communicator = communicator
+        self._decomposition: Decomposition | None = None
+        self._seconds, self._steps = 0.0, 0
+        self.migration_seconds = np.inf
+
+    def record(self, seconds: float) -> None:
+        """Account for a step that took this computing time [s] on this rank, without messages."""
+        self._seconds, self._steps = self._seconds + seconds, self._steps + 1
+
+    @property
+    def cost(self) -> MeasuredCost:
+        """What this rank has measured since the last migration."""
+        step = self._seconds / self._steps if self._steps else np.inf
+        return MeasuredCost(step, self._steps, self.migration_seconds)
+
+    def owners(self, position: np.ndarray, contacts: np.ndarray) -> np.ndarray:
+        """Rank (n,) that owns each particle of this rank from now on; all ranks call this together.
+
+        position:  (n, 3) [m]
+        contacts:  (n,) number of contacts in the list of each particle
+        """
+        weights = PARTICLE_WEIGHT + CONTACT_WEIGHT * contacts
+        gathered = self._communicator.from_each((int(weights.sum()), self.cost.step))
+        sums, seconds = map(np.array, zip(*gathered, strict=True))
+        self._seconds, self._steps = 0.0, 0
+        factors = relative_costs(sums, seconds)
+        costs = factors * sums
+        if self._decomposition is None or costs.max() > IMBALANCE * costs.mean():
+            scaled = np.rint(WEIGHT_STEPS * factors[self._communicator.rank] * weights).astype(np.int64)
+            self._decomposition = bisected(self._communicator, position, scaled)
+        return self._decomposition.owners(position)
+
+
+def migration_pays(costs: Sequence[MeasuredCost]) -> bool:
+    """Whether waiting for the slowest rank has cost more than a migration, which could have prevented it.
+
+    costs:  of all ranks
+
+    Migrations that do not help take at most half as much time as the waiting that makes them due.
+    """
+    step = np.array([each.step for each in costs])
+    if not np.isfinite(step).all() or step.mean() < SHORTEST_STEP:
+        return False
+    loss = float(step.max() - step.mean()) * costs[0].steps
+    return loss > LOSS * max(each.migration for each in costs)
+
+
+def relative_costs(weights: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Measured cost (ranks,) of a unit of weight on each rank, over the mean.
+
+    weights:  (ranks,) sum of the weights of each rank
+    seconds:  (ranks,) computing time [s] of a step of each rank; infinite if it has measured none
+
+    1 if the times are too short or a rank has measured none.
+    """
+    if not np.isfinite(seconds).all() or not weights.all() or seconds.mean() < SHORTEST_STEP:
+        return np.ones(len(weights))
+    cost = seconds / weights
+    found: np.ndarray = np.clip(cost * (weights.sum() / seconds.sum()), 1.0 / LARGEST_FACTOR, LARGEST_FACTOR)
+    return found

@@ -2,35 +2,97 @@
 
 import atexit
 import gc
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import Any, TypeVar
 
 import numpy as np
 
+from granflow.engine.abort import Diagnosis, diagnose
 from granflow.engine.backend import Backend
-from granflow.engine.diagnosis import diagnose
-from granflow.engine.engine import Engine
-from granflow.engine.host_copy import saved_particle_table
-from granflow.engine.host_particles import HostParticles
-from granflow.engine.limits import ABORT_WALL, Diagnosis
-from granflow.engine.ranks import NO_CHANGES
-from granflow.engine.saved_particles import RankFiles
+from granflow.engine.codes import ABORT_WALL
+from granflow.engine.engine import Engine, RankFiles, host_particles
+from granflow.engine.host import HostParticles, joined_particles, saved_particle_table
+from granflow.engine.state import NO_CHANGES, State
 from granflow.engine.stepper import Stepper
 from granflow.errors import GranflowError
 from granflow.fields import PARTICLE_QUANTITIES
 from granflow.geometry.motion import Motion
-from granflow.io.checkpoint_file import CheckpointError
+from granflow.io.archive import CheckpointError
 from granflow.load import Scene, identity_of
-from granflow.parallel.checkpoint_share import share_of_checkpoint
 from granflow.parallel.communicator import Communicator
 from granflow.parallel.rank_stepper import RankStepper
+from granflow.plan.build import rank_plan
 from granflow.plan.plan import Plan
-from granflow.plan.ranks import rank_plan
 from granflow.snapshot import Snapshot
 
-_T = TypeVar("_T")
+# Reading of a checkpoint that MPI ranks have written: each rank reads a part of the files.
 
+
+def share_of_checkpoint(
+    state: State,
+    communicator: Communicator,
+    particles: HostParticles | None,
+    files: RankFiles | None,
+    accounting: Mapping[str, Any],
+) -> tuple[HostParticles, str | None]:
+    """The particles that this rank reads, and a sentence on a problem of any rank, or None; all ranks call this.
+
+    particles:   of the checkpoint itself, on the root
+    files:       with the other particles
+    accounting:  state of `Accounting`
+    """
+    parts, problem = [no_particles(state) if particles is None else particles], None
+    try:
+        if files is not None:  # the root, which has particles already, is the last one to read a file
+            for number in range((communicator.rank - 1) % communicator.size, files.count, communicator.size):
+                parts.append(host_particles(state, files.read(number, state.plan, accounting)))
+    except GranflowError as error:
+        problem = str(error)
+    problem = _first(communicator, problem)
+    found = joined_particles(parts)
+    if files is not None and problem is None:
+        problem = _first(communicator, _contradiction(communicator, found))
+    return found, problem
+
+
+def no_particles(state: State) -> HostParticles:
+    """Empty arrays and histories of the state."""
+    none = saved_particle_table(state).take(np.zeros(0, np.int32))
+    contacts = {"count": np.zeros(0, np.int64), "partner": np.zeros(0, np.int32)}
+    return host_particles(state, {"particles": none, "contacts": contacts})
+
+
+def _first(communicator: Communicator, problem: str | None) -> str | None:
+    """The sentence of the lowest rank that has one."""
+    return next(filter(None, communicator.from_each(problem)), None)
+
+
+def _contradiction(communicator: Communicator, particles: HostParticles) -> str | None:
+    """A sentence if a particle is in two files, or a contact between two particles at one of them only.
+
+    Each rank compares the ids, and the contacts by their lower id, with its number modulo the number of ranks.
+    """
+    ids, histories, size = particles.arrays["id"], particles.histories, communicator.size
+    pairs = np.stack([ids[histories.owner], histories.partner], axis=1)[histories.partner >= 0]
+    lower = pairs.min(axis=1, initial=2**31 - 1)
+    sent = [(ids[ids % size == rank], pairs[lower % size == rank]) for rank in range(size)]
+    compared, contacts = (np.concatenate(each) for each in zip(*communicator.exchanged(sent), strict=True))
+    if len(np.unique(compared)) < len(compared):
+        return "The checkpoint has a particle in the files of two ranks. Remove it to use the checkpoint before it."
+    first, second = (each[np.lexsort(each.T)] for each in (contacts, contacts[:, ::-1]))
+    if not np.array_equal(first, second):
+        return (
+            "The checkpoint has a contact between two particles at one of them only. Remove it to use the checkpoint "
+            "before it."
+        )
+    return None
+
+
+_T = TypeVar("_T")
 START, END = "start", "end"
 """Commands that create the engines and end the ranks; all others are names of methods of `RankEngine`."""
 
@@ -192,3 +254,68 @@ class RankEngine(Engine):
             if self.stepper.holds(particle) or (code == ABORT_WALL and self.communicator.is_root):
                 found = diagnose(code, particle, self.state, self.time, self._started, self._stopping_change)
             return next((each for each in self.communicator.to_root(found) if each is not None), None)
+
+
+# The ranks of a run: the root executes a program, the others execute its commands. A failure ends all
+# ranks.
+
+EXIT_FAILED_RANK = 3
+"""Exit code of all ranks after a failure of one of them."""
+
+
+def serve(communicator: Communicator, engine: Callable[[], RankEngine]) -> None:
+    """Execute the commands of the root until it ends the run.
+
+    engine:  creates the engine of this rank
+    """
+    with _fatal(communicator):
+        present: RankEngine | None = None
+        while True:
+            name, arguments = communicator.next_command()
+            if name == END:
+                return
+            if name == START:
+                with suppress(OtherScene):  # the root reports it and ends the other ranks
+                    present = engine()
+            else:
+                getattr(present, name)(*arguments)
+
+
+@contextmanager
+def controlling(communicator: Communicator) -> Iterator[None]:
+    """On the root: in the block, the other ranks execute commands; they end with it.
+
+    An exception that interrupts a command, or that is not an error of the input, ends all ranks at once.
+    """
+    with _fatal(communicator):
+        try:
+            yield
+        except (GranflowError, OSError, KeyboardInterrupt):
+            if not communicator.is_idle:
+                _abort(communicator)
+            communicator.send_command(END)
+            raise
+    communicator.send_command(END)
+
+
+@contextmanager
+def _fatal(communicator: Communicator) -> Iterator[None]:
+    """In the block, an exception that is not an error of the input ends all ranks."""
+    try:
+        yield
+    except (GranflowError, OSError, KeyboardInterrupt):
+        if communicator.is_root:
+            raise
+        _abort(communicator)
+    except BaseException:
+        _abort(communicator)
+
+
+def _abort(communicator: Communicator) -> None:
+    """Print the exception that is handled, one sentence for an error of the input, and end all ranks."""
+    error = sys.exc_info()[1]
+    is_sentence = isinstance(error, GranflowError | OSError)
+    reason = f"granflow: {error}\n" if is_sentence else traceback.format_exc()
+    sys.stderr.write(f"granflow: rank {communicator.rank} failed, which ends all ranks.\n{reason}")
+    sys.stderr.flush()
+    communicator.abort(EXIT_FAILED_RANK)

@@ -12,17 +12,13 @@ import numpy as np
 from pydantic.fields import FieldInfo
 
 from granflow.errors import SceneError
-from granflow.particles.close_pairs import near_pairs
-from granflow.particles.from_file import rows_of, unassigned_rows
-from granflow.particles.group import SceneGroup, groups_of
-from granflow.particles.motion_file import with_motion_files
-from granflow.particles.sizes import count_for_volume
-from granflow.particles.table import ParticleTable
-from granflow.scene.schema.fields import Model
-from granflow.scene.schema.insertion import FileInsertion, FileSummary, InletInsertion, RainInsertion
-from granflow.scene.schema.numbers import LARGEST_COUNT, Number
-from granflow.scene.schema.particles import Group
-from granflow.scene.schema.scene import SceneInput
+from granflow.particles.file import ParticleTable, rows_of, unassigned_rows, with_motion_files
+from granflow.particles.group import SceneGroup, count_for_volume, groups_of
+from granflow.particles.packing import near_pairs
+from granflow.scene.blocks.particles import FileInsertion, FileSummary, Group, InletInsertion, RainInsertion
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.model import Model
+from granflow.units import LARGEST_COUNT, Number
 
 ROUNDING_SHARE = 1e-9
 """Tolerance for rounding at the end of an insertion, as a fraction of one particle."""

@@ -2,28 +2,39 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import ceil
 from typing import Any
 
 import numpy as np
 
-from granflow.contact.normal_law import NormalLaw
-from granflow.errors import SceneError
-from granflow.geometry.mesh.mesh import Mesh
+from granflow.contact.law import NormalLaw
+from granflow.errors import GranflowError, SceneError
+from granflow.geometry import motion
+from granflow.geometry import motion as motion_speed
+from granflow.geometry.catalog import reach_about
+from granflow.geometry.mesh import Mesh
 from granflow.load import Scene, refuse_other_object
-from granflow.plan.adaptive_time_step import AdaptiveTimeStep, adaptive_time_step_for
-from granflow.plan.damping import planned_damping, refuse_unresolved_drag
-from granflow.plan.domain import refuse_cut_walls, refuse_infinite_rotations, refuse_narrow_box
-from granflow.plan.feature_reasons import reasons_for
-from granflow.plan.features import features_of
-from granflow.plan.forecast.build import forecasts_of
-from granflow.plan.forecast.sizes import size_problems
+from granflow.plan.features import features_of, reasons_for
+from granflow.plan.forecast import forecasts_of, size_problems
 from granflow.plan.joined_walls import joints_of
-from granflow.plan.liquid import refuse_coarse_liquid
-from granflow.plan.max_impact_velocity import image_speed, initial_rotation_rates, initial_speeds, max_impact_velocity
-from granflow.plan.meshes import MeshNote, notes_on
-from granflow.plan.motion_period import refuse_fast_motion
-from granflow.plan.outlets import planned_outlets
-from granflow.plan.pair_cases import (
+from granflow.plan.limits import (
+    controlled_motions_of,
+    image_speed,
+    initial_rotation_rates,
+    initial_speeds,
+    max_impact_velocity,
+    refuse_coarse,
+    refuse_cut_walls,
+    refuse_fast_images,
+    refuse_fast_motion,
+    refuse_fast_rotation,
+    refuse_fast_start,
+    refuse_fast_walls,
+    refuse_infinite_rotations,
+    refuse_narrow_box,
+    share_of,
+)
+from granflow.plan.pairs import (
     active_models,
     adhesion_velocity,
     build_laws,
@@ -32,38 +43,37 @@ from granflow.plan.pair_cases import (
     pair_table,
     solid,
 )
-from granflow.plan.plan import Plan
-from granflow.plan.resolution import refuse_coarse
-from granflow.plan.scene_parts import planned_groups, planned_stages
-from granflow.plan.settings import settings_of
-from granflow.plan.size_classes import size_classes
-from granflow.plan.time_step import PairCase, TimeStep, choose_time_step, resolution_warning
-from granflow.plan.travel import (
-    refuse_fast_images,
-    refuse_fast_rotation,
-    refuse_fast_start,
-    refuse_fast_walls,
-    share_of,
+from granflow.plan.parts import (
+    planned_damping,
+    planned_groups,
+    planned_outlets,
+    planned_stages,
+    refuse_coarse_liquid,
+    refuse_unresolved_drag,
+    size_classes,
 )
-from granflow.plan.wall_control import controlled_motions_of
-from granflow.plan.walls import PlannedWall, planned_walls, wall_speeds
-from granflow.scene.schema.run import Numerics
+from granflow.plan.plan import Plan, settings_of
+from granflow.plan.time_step import (
+    AdaptiveTimeStep,
+    PairCase,
+    TimeStep,
+    adaptive_time_step_for,
+    choose_time_step,
+    resolution_warning,
+)
+from granflow.plan.walls import MeshNote, PlannedMotion, PlannedWall, notes_on, planned_walls, wall_speeds
+from granflow.scene.blocks.run import Numerics
 
 SMALL_SCENE_PARTICLES = 64
 """Number of particles up to which each is a separate chunk: the longer run time is less than the saved compile time."""
-
 CHUNK_COUNT = 32
 """Number of chunks to distribute over the threads, if their size is within CHUNK_BOUNDS."""
-
 CHUNK_BOUNDS = (512, 2048)
 """Particles per chunk: smaller chunks have more pairs across chunks, computed twice; larger ones exceed the cache."""
-
 SKIN_STEPS = 60
 """Minimum number of steps in which a particle at the maximum velocity crosses half the skin."""
-
 LARGEST_SKIN = 20.0
 """Maximum `numerics.skin` over the smallest radius: 2^3 * 11^3 neighbors."""
-
 SKIN_SHARES = (0.05, 0.3)
 """Range of the automatic skin over the smallest radius."""
 
@@ -282,3 +292,113 @@ def _skin(scene: Scene, radius_min: float, velocity: float, step: float) -> floa
         return _given_skin(scene, float(scene.numerics.skin), radius_min)
     min_size, max_size = (neighbors * radius_min for neighbors in SKIN_SHARES)
     return float(np.clip(2.0 * SKIN_STEPS * velocity * step, min_size, max_size))
+
+
+# Plan of one of several MPI ranks.
+
+BALANCE = 1.2
+"""Particles of a rank over the mean for which its arrays are allocated; they grow if one rank has more."""
+GHOST_LAYERS = 1.5
+"""Thickness of the layer of ghosts in diameters."""
+
+
+def rank_plan(plan: Plan, ranks: int) -> Plan:
+    """The plan of each of `ranks` ranks: capacity for its share of the particles and for the ghosts of a cube of them.
+
+    n + [(n^(1/3) + 2 layers)^3 - n]        n = 1.2 N / ranks
+    """
+    share = min(BALANCE * plan.particle_capacity / ranks, plan.particle_capacity)
+    ghosts = (share ** (1 / 3) + 2.0 * GHOST_LAYERS) ** 3 - share if ranks > 1 else 0.0
+    needed = ceil(share + min(ghosts, plan.particle_capacity - share)) + plan.chunk_size
+    return replace(plan, particle_capacity=needed, has_ghosts=True)
+
+
+# Walls that a program changes during a run: the plan with other walls.
+
+
+def without_wall(plan: Plan, name: str, time: float) -> Plan:
+    """The plan with a wall that vanishes at `time` [s]."""
+    return with_wall(plan, replace(wall_named(plan, name), vanishes_at=time))
+
+
+def with_motions(
+    plan: Plan, name: str, motions: Sequence[motion.Motion], time: float, present: Sequence[motion.Motion]
+) -> Plan:
+    """The plan with a wall that moves with `motions` from `time` [s], from the pose of its present motions there.
+
+    Raises GranflowError for a force-controlled wall, or if the wall would be too fast for the time step.
+    """
+    wall = wall_named(plan, name)
+    if any(controlled.name == name for controlled in plan.controlled_motions):
+        raise GranflowError(f"walls[{name!r}] is force-controlled: its motion cannot be changed.")
+    try:
+        motion.single_rotation(motions)
+    except ValueError:
+        raise GranflowError(f"walls[{name!r}].motion has two rotations, but a wall can have at most one.") from None
+    placed = (motion.placement_at(present, time), *motions)
+    return with_wall(plan, replace(wall, motions=tuple(PlannedMotion(each, None) for each in placed)))
+
+
+def with_wall(plan: Plan, wall: PlannedWall) -> Plan:
+    """The plan with another wall of the same name. Raises GranflowError if it is too fast for the time step."""
+    speed = _speed(plan, wall)
+    limit = min(plan.wall_travel_limit, plan.wall_displacement_limit)
+    if speed * plan.longest_time_step > limit:
+        raise GranflowError(
+            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but at most "
+            f"{limit / plan.longest_time_step:.3g} m/s is possible with a time step of {plan.longest_time_step:.3g} s."
+        )
+    if plan.adaptive_time_step is not None and speed > plan.wall_speed:
+        raise GranflowError(
+            f"walls[{wall.name!r}].motion moves the wall at up to {speed:.3g} m/s, but the adaptive time step is for "
+            f"walls up to {plan.wall_speed:.3g} m/s: give the fastest motion in the scene."
+        )
+    walls = tuple(wall if each.name == wall.name else each for each in plan.walls)
+    has_belt = any(isinstance(each.given, motion.SurfaceVelocity) for each in wall.motions)
+    joints = joints_of(walls, plan.radius_max, plan.periodic_box.axes)
+    features = replace(
+        plan.features,
+        joined_walls=plan.features.joined_walls or any(joints),
+        moving_walls=plan.features.moving_walls or bool(wall.motions),
+        surface_velocity=plan.features.surface_velocity or has_belt,
+    )
+    wall_speed = max(plan.wall_speed, speed)
+    return replace(plan, walls=walls, wall_joints=joints, features=features, wall_speed=wall_speed)
+
+
+def wall_named(plan: Plan, name: str) -> PlannedWall:
+    """The wall with this name. Raises GranflowError."""
+    found = {wall.name: wall for wall in plan.walls}
+    if name not in found:
+        raise GranflowError(f"walls: {name!r} is not a wall of the scene; its walls are {', '.join(found) or 'none'}.")
+    return found[name]
+
+
+def _speed(plan: Plan, wall: PlannedWall) -> float:
+    """Largest speed [m/s] of the geometry of the wall within the domain, by its prescribed motions without stages.
+
+    A rotation of a placed wall is about an axis in space; the axis through the wall at rest is inversely placed.
+    """
+    motions = [each.given for each in wall.motions if each.stages is None]
+    rotation = motion.single_rotation(motions)
+    reach = 0.0
+    if rotation is not None:
+        point, axis = np.array(rotation.point), np.array(rotation.axis)
+        corners = np.abs([plan.domain_low - point, plan.domain_high - point]).max(axis=0)
+        if isinstance(motions[0], motion.Placement):
+            turned = np.array(motions[0].rotation).T
+            point, axis = turned @ (point - np.array(motions[0].translation)), turned @ axis
+        reach = reach_about(wall.shape, point, axis, float(np.linalg.norm(corners)))
+    return motion_speed.speed_bound(motions, reach)
+
+
+MOTIONS = {
+    kind.__name__: kind
+    for kind in (motion.Translation, motion.Rotation, motion.Vibration, motion.SurfaceVelocity, motion.Placement)
+}
+"""Motions that checkpoints contain, by name."""
+
+
+def changed_walls(plan: Plan, original: Plan) -> Mapping[str, PlannedWall]:
+    """The walls that differ from those of the original plan, by name."""
+    return {wall.name: wall for wall, before in zip(plan.walls, original.walls, strict=True) if wall is not before}

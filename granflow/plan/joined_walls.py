@@ -9,10 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from granflow.geometry.catalog import Surface, reach_about, triangles
-from granflow.geometry.mesh.adjacency import classify_edges
-from granflow.geometry.mesh.mesh import Mesh
-from granflow.geometry.motion import ForceControlled, Rotation, SurfaceVelocity
-from granflow.geometry.motion_table import TableRotation
+from granflow.geometry.mesh import Mesh, classify_edges
+from granflow.geometry.motion import ForceControlled, Rotation, SurfaceVelocity, TableRotation
 from granflow.geometry.plane import HALF_SPACE, RECTANGLE
 from granflow.geometry.revolved import FACET_COUNT, REVOLVED
 from granflow.geometry.shape import Shape, is_parallel

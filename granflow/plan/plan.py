@@ -1,16 +1,23 @@
 """The plan of a run: all decisions before any array is allocated, and the numbers that follow from them."""
 
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
-from granflow.contact.material import PairMaterial
-from granflow.contact.normal_law import NormalLaw
+from granflow.contact.law import NormalLaw
+from granflow.contact.laws import ContactLaws
+from granflow.contact.material import PairMaterial, Solid
 from granflow.geometry.catalog import area_of
-from granflow.geometry.mesh.grid import MeshGrid, grid_over
-from granflow.geometry.mesh.mesh import Mesh
-from granflow.geometry.sphere import sphere_mass
+from granflow.geometry.mesh import Mesh, MeshGrid, grid_over
+from granflow.geometry.periodic_box import PeriodicBox
+from granflow.geometry.shape import sphere_mass
+from granflow.load import Scene
 from granflow.plan.capacities import (
     MIN_BATCH,
     MIN_CELLS,
@@ -24,21 +31,259 @@ from granflow.plan.capacities import (
     SHARE_AT_MESHES,
     SHARED_ROWS,
     Capacities,
+    SumUnits,
     history_share,
     near_triangles,
     neighbors_per_particle,
     rounded_capacity,
+    sum_units,
 )
-from granflow.plan.decisions import Decisions
-from granflow.plan.liquid import liquid_unit
-from granflow.plan.resolution import coordinate_limit
-from granflow.plan.sum_units import SumUnits, sum_units
-from granflow.plan.time_step import PairCase, shortest_phase, stable_step
-from granflow.plan.travel import STEP_SHARE
+from granflow.plan.features import Features, Reason
+from granflow.plan.limits import ControlledMotion, ImpactVelocity, coordinate_limit
+from granflow.plan.parts import PlannedDamping, PlannedGroup, PlannedOutlet, PlannedStage, liquid_unit
+from granflow.plan.time_step import STEP_SHARE, AdaptiveTimeStep, PairCase, TimeStep, shortest_phase, stable_step
+from granflow.plan.walls import MeshNote, PlannedWall
+from granflow.scene.blocks.contact import LawSettings
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.output import Output
+from granflow.scene.blocks.run import Expectation, Precision
+
+# Forces on particles that a program adds with device functions.
+
+ParameterValue = float | tuple[float, float, float]
+"""Value of a parameter of a force: a number or a vector."""
+
+
+@dataclass(frozen=True)
+class ExternalForce:
+    """One force: its name, device function, and the number of components of each parameter, 1 or 3, by name.
+
+    `values`: present values of the parameters, which may change while the simulation runs; the compiled kernels depend
+    on all other attributes.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    layout: tuple[tuple[str, int], ...]
+    values: Mapping[str, ParameterValue] = field(compare=False)
+
+    @property
+    def numbers(self) -> list[float]:
+        """All values one after the other."""
+        found: list[float] = []
+        for name, _ in self.layout:
+            value = self.values[name]
+            found += value if isinstance(value, tuple) else (value,)
+        return found
+
+
+def parameter_count(forces: Sequence[ExternalForce]) -> int:
+    """Number of values of all parameters."""
+    return sum(width for force in forces for _, width in force.layout)
+
+
+# One forecast of a plan.
+
+Cause = Literal["impact", "weight", "wall", "cohesion"]
+"""Causes of overlaps: an impact, the weight of the bed, a wall that presses on the bed, an attraction."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """One forecast for `granflow explain`: name, value and remark; `warning`: sentence for check and run, or None.
+
+    cause, overlap:  of a forecast overlap: its cause, and the overlap over the smaller radius; None and 0 for others
+    force:           largest contact force [N] of a static pressure, for the pair with the largest overlap
+    """
+
+    name: str
+    value: str
+    remark: str
+    warning: str | None = None
+    cause: Cause | None = None
+    overlap: float = 0.0
+    force: float = 0.0
+
+
+# Optional settings of a scene: their values, and their origin (given or default).
+
+KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene."""
+_UNIT = re.compile(r"\[([A-Za-z][A-Za-z0-9/]*)\]")
+"""Unit in brackets in a description of the schema."""
+
+
+@dataclass(frozen=True)
+class OptionalSetting:
+    """One optional value of the scene: key path with dots, value with its unit, origin (line, preset or default)."""
+
+    key: str
+    value: str
+    origin: str
+
+
+def settings_of(scene: Scene) -> tuple[OptionalSetting, ...]:
+    """All optional settings in the order of the schema, including values of presets.
+
+    Optional parts that are absent (a motion, the radius of a meter) are not listed. Units are those in the
+    descriptions of the schema.
+    """
+    return tuple(_in_model(scene, scene, ()))
+
+
+def _in_model(scene: Scene, model: BaseModel, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings of one part of the scene and of its parts; `path`: key path of the part."""
+    for name, key_field in type(model).model_fields.items():
+        key, value = (*path, key_field.alias or name), getattr(model, name)
+        if not _is_leaf(value):
+            yield from _in_value(scene, value, key)
+        elif value is not None and (_has_default(key_field) or _is_preset(scene, model, key)):
+            unit = _UNIT.search(key_field.description or "")
+            text = as_written(value) + (f" {unit.group(1)}" if unit and not isinstance(value, str) else "")
+            given = scene.is_given(*key)
+            origin = f"given ({scene.where(*key)})" if given else _filled_in(scene, model, key)
+            yield OptionalSetting(".".join(map(str, key)), text, origin)
+
+
+def _in_value(scene: Scene, value: Any, path: KeyPath) -> Iterator[OptionalSetting]:
+    """Optional settings in a value: a part, or a mapping or list of parts."""
+    if isinstance(value, BaseModel):
+        yield from _in_model(scene, value, path)
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            yield from _in_value(scene, each, (*path, key))
+    elif isinstance(value, tuple):
+        for index, each in enumerate(value):
+            yield from _in_value(scene, each, (*path, index))
+
+
+def _is_leaf(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return bool(value) and all(_is_leaf(each) for each in value)
+    return not isinstance(value, BaseModel | dict)
+
+
+def _has_default(field: FieldInfo) -> bool:
+    return field.default_factory is not None or (not field.is_required() and field.default is not None)
+
+
+def _is_preset(scene: Scene, model: BaseModel, path: KeyPath) -> bool:
+    return getattr(model, "preset", None) is not None and not scene.is_given(*path)
+
+
+def _filled_in(scene: Scene, model: BaseModel, path: KeyPath) -> str:
+    """Origin of a value that the file does not give."""
+    if _is_preset(scene, model, path):
+        return f"preset {getattr(model, 'preset', '')} ({scene.where(*path[:-1], 'preset')})"
+    if (
+        isinstance(model, LawSettings)
+        and path[:2] == ("contact", "normal")
+        and model.fixed_by_numbers().get(str(path[-1])) == getattr(model, str(path[-1]))
+    ):
+        return "the restitution of every pair is a number, independent of the velocity"
+    return _REASONS.get(path[-1], "default")
+
+
+_REASONS: dict[str | int, str] = {
+    "timeseries_interval": "default: output.interval",
+    "unloading_angle": "default: bound on sqrt(K/M) dt, where K is the unloading stiffness",
+}
+"""Origin of default values that are copied from other keys or need an explanation."""
+_MANY_ROWS = 3
+"""Lists with more entries are shown by their length."""
+
+
+def as_written(value: Any) -> str:
+    """A value in the notation of scenes: true, false, numbers with six digits, lists; long lists as their length."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple) and len(value) > _MANY_ROWS:
+        return f"{len(value)} rows"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(as_written, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# The decisions of a plan: what follows from the scene before any array is allocated.
+
+
+@dataclass(frozen=True, eq=False)
+class Decisions:
+    """All decisions for one scene, in SI units; the functions that compute them document the reasons.
+
+    Lengths [m]: `radius_min`, `radius_max`, `skin`. `wall_speed` [m/s]: of prescribed motions. `chunk_size`: particles
+    per unit of work of a thread.
+    """
+
+    title: str
+    path: str
+    """Path of the scene file; empty for a scene from Python."""
+    remarks: tuple[str, ...]
+    """Sentences on changes to the scene as written."""
+    settings: tuple[OptionalSetting, ...]
+    sources: Mapping[str, str]
+    """Positions in the scene file for messages, by key: steps, domain.on_exit, given numerics."""
+    precision: Precision
+    domain: Domain
+    periodic_box: PeriodicBox
+    output: Output
+    flow_meter_parts: Mapping[str, tuple[str, ...]]
+    """Names of the materials or groups with separate counts, by name of the flow meter."""
+    expectations: tuple[Expectation, ...]
+    gravity: tuple[float, float, float]
+    """Gravity [m/s2]."""
+    max_overlap: float
+    """Overlap over radius above which the run aborts."""
+    features: Features
+    reasons: tuple[Reason, ...]
+    stages: tuple[PlannedStage, ...]
+    damping: PlannedDamping | None
+    """Damping of all motion, for settling."""
+    groups: tuple[PlannedGroup, ...]
+    size_classes: tuple[float, ...]
+    """Largest radius [m] of each size class, in ascending order."""
+    solids: Mapping[str, Solid]
+    """Constants of all materials of the scene by name, in its order, to which `ParticleData.material` refers."""
+    laws: ContactLaws
+    materials: tuple[str, ...]
+    """Names of the materials in plan order, those of particles first."""
+    pair_materials: Mapping[tuple[str, str], PairMaterial]
+    """Constants of each two materials that can come into contact, by their names in either order."""
+    pair_constants: np.ndarray
+    """(materials^2, constants): constants of the contact laws, in the order of `laws.constant_names`."""
+    pair_cases: tuple[PairCase, ...]
+    """The possible contacts."""
+    particle_capacity: int
+    radius_min: float
+    radius_max: float
+    chunk_size: int
+    skin: float
+    step: TimeStep
+    impact_velocity: ImpactVelocity
+    walls: tuple[PlannedWall, ...]
+    wall_joints: tuple[int, ...]
+    """For each wall, whether it touches others or itself; see `joined_walls.joints_of`."""
+    measured_walls: tuple[str, ...]
+    """Names of the walls with measured forces."""
+    mesh_notes: tuple[MeshNote, ...]
+    wall_speed: float
+    controlled_motions: tuple[ControlledMotion, ...]
+    """Motions of walls that respond to the forces of the particles."""
+    outlets: tuple[PlannedOutlet, ...]
+    adaptive_time_step: AdaptiveTimeStep | None
+    """Time steps by impact velocity if the time step is adaptive."""
+    forecasts: tuple[Forecast, ...] = ()
+    """Overlaps to expect, and probable mistakes that end a run or make it pointless."""
+    external_forces: tuple[ExternalForce, ...] = ()
+    """Forces that a program has added; none follow from the scene."""
+    saved_sum_units: SumUnits | None = None
+    """Units of the sums of the run that a checkpoint continues, in which it has saved them; None for a new run."""
+    has_ghosts: bool = False
+    """Whether the run is one of several MPI ranks: its neighbor lists contain ghosts, see `plan.ranks`."""
+
 
 CELLS_PER_PARTICLE = 3
 """Maximum number of cells per particle; a sparser domain gets larger cells."""
-
 BLOCK_CELLS = 8**3
 """Number of cells in a block, which is the smallest grid."""
 

@@ -1,25 +1,37 @@
 """The time step: computed from the stiffest phase of all possible contacts, or given and checked."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
 from granflow.contact import theory
+from granflow.contact.law import NormalLaw
 from granflow.contact.material import PairMaterial, Solid
-from granflow.contact.normal_law import NormalLaw
-from granflow.plan.travel import STEP_SHARE
+from granflow.scene.blocks.run import LARGEST_OVERLAP
+
+STEP_SHARE = 1.0 - LARGEST_OVERLAP
+"""Largest distance per step, of a particle and of a wall, over the smallest radius R.
+
+Rectangles, discs and meshes are two-sided: a center that crosses one is pushed out on the wrong side. With the overlap
+limit L, the centers of a run that has not stopped are at a distance g >= (1 - L) R from the wall. One step with the
+share f for both takes a center at most 2 f R - g behind the wall, where its overlap over R is
+
+    1 - (2 f R - g) / R >= 2 - 2 f - L >= L        for f <= 1 - L
+
+so that the overlap limit stops the run. Two particles pass each other only with more than 2 (2 - L) R in a step.
+Stable steps are below the limit: v dt < 2 v/w = 2 d_max <= 0.2 R, for overlaps d_max up to the default L = 0.1.
+"""
 
 MAX_CONTACTS = 12
 """Maximum number of contacts of a sphere with equal spheres."""
-
 NORMAL_MODES, SLIDING_MODES = 4.0, 20.0
 """Squared highest frequencies of densely packed equal spheres with 12 contacts, over K/M and Kt/M of a contact."""
-
 STABLE_SHARE = 0.99
 """Time step over the stability limit of the stiffest mode."""
-
 STEPS_OF_RESOLUTION = 1000
 """Minimum ratio of an overlap to the resolution of the precision, for a force error below 0.15 %."""
 
@@ -256,3 +268,65 @@ def _shortfall(pair: str, bound: float, required: float, contact: str, velocity:
         f"reproduces no restitution below {bound:.3g} ({contact}). Use "
         f"{remedy}."
     )
+
+
+# Adaptive time step: the rule of the fixed time step, applied to the current maximum impact velocity.
+
+STEPS_BETWEEN_UPDATES = 128
+"""Number of steps between two updates of the maximum impact velocity; a contact lasts about as long."""
+VELOCITY_MARGIN = 2.0
+"""Factor applied to the current maximum impact velocity: a light particle hit by a much heavier one rebounds at up to
+twice the velocity of the heavy one."""
+LEVELS_PER_DOUBLING = 2
+"""Velocity levels per factor of 2: a time step is about proportional to v^(-1/5), so that it is at most 7 % below the
+ideal one."""
+DOUBLINGS = (-24, 6)
+"""Range of the table in powers of 2, relative to the planned maximum impact velocity."""
+
+
+@dataclass(frozen=True)
+class AdaptiveTimeStep:
+    """Time steps [s] for impact velocities [m/s] in ascending order, and the lower limit of the velocity [m/s].
+
+    `velocities` and `steps` have the same length; `steps` does not increase with the velocity.
+    """
+
+    velocities: tuple[float, ...]
+    steps: tuple[float, ...]
+    least_velocity: float
+
+    def step_for(self, impact_velocity: float, gravity_gain: float) -> float:
+        """Time step [s] for the current maximum impact velocity [m/s].
+
+            v = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, least_velocity)
+
+        `gravity_gain` [m/s]: increase of the velocity by gravity in one such step. The result is the step of the next
+        higher velocity in the table; above the table, that of the highest velocity.
+        """
+        velocity = max(VELOCITY_MARGIN * impact_velocity + STEPS_BETWEEN_UPDATES * gravity_gain, self.least_velocity)
+        return self.steps[min(bisect_left(self.velocities, velocity), len(self.steps) - 1)]
+
+    @property
+    def longest(self) -> float:
+        """Time step [s] for a scene in which only the walls move."""
+        return self.step_for(0.0, 0.0)
+
+
+def adaptive_time_step_for(
+    pair_cases: Sequence[PairCase],
+    law: NormalLaw,
+    velocity: float,
+    wall_speed: float,
+    fraction: float,
+    rayleigh_fraction: float,
+) -> AdaptiveTimeStep:
+    """The table for planned impact velocities up to `velocity` [m/s] and wall velocities up to `wall_speed` [m/s].
+
+    `pair_cases`: possible contacts; `law`: normal contact model; `fraction`: of the shortest loading or unloading time;
+    `rayleigh_fraction`: of the Rayleigh time. Each entry is `choose_time_step` at one velocity between 2^-24 and 2^6
+    times `velocity`. VELOCITY_MARGIN times `wall_speed` is the lower limit of the velocity for which a step is chosen.
+    """
+    low, high = (LEVELS_PER_DOUBLING * doublings for doublings in DOUBLINGS)
+    velocities = tuple(velocity * 2.0 ** (level / LEVELS_PER_DOUBLING) for level in range(low, high + 1))
+    steps = [choose_time_step(None, pair_cases, law, each, fraction, rayleigh_fraction).value for each in velocities]
+    return AdaptiveTimeStep(velocities, tuple(accumulate(steps, min)), VELOCITY_MARGIN * wall_speed)

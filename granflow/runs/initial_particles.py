@@ -1,15 +1,115 @@
 """Particles at the start of a run: from the scene, from an earlier run, from arrays, or none for a resumed run."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
-from granflow.errors import GranflowError
-from granflow.io.checkpoint import Checkpoint
-from granflow.load import Scene
-from granflow.particles.generate import initial_particles
-from granflow.particles.particle_data import ParticleData
-from granflow.plan.forecast.regions import particle_warnings
+from granflow.errors import GranflowError, SceneError
+from granflow.io.checkpoint import Checkpoint, newest_checkpoint
+from granflow.load import Scene, scene_of
+from granflow.particles.group import ParticleData, SceneGroup, groups_of
+from granflow.particles.insertion import initial_particles
+from granflow.plan.forecast import particle_warnings
+from granflow.plan.parts import diameter_range
 from granflow.plan.plan import Plan
-from granflow.runs.initial_from_run import particles_from_run
+
+# Initial particles of a new run from the last state of an earlier run: `start_from:` of a scene.
+
+ROUNDING = 1e-6
+"""Relative tolerance of the diameters from an earlier run, which may be rounded to single precision."""
+
+
+def particles_from_run(scene: Scene) -> dict[str, ParticleData]:
+    """Return the particles of each group that the earlier run also has, from its newest checkpoint, by group.
+
+    Positions, velocities, angular velocities and sizes are those of the run, materials those of the scene. All are
+    float64, synchronized to the same time, ordered by id. Particles of a `fixed` group are at rest. The contact history
+    is not transferred. Empty without `start_from`.
+
+    Raises SceneError if the run does not exist, or if the count or the sizes of its particles exceed those of the group
+    in the scene; CheckpointError if its newest checkpoint has another format or unexpected values.
+    """
+    if scene.start_from is None:
+        return {}
+    from granflow.runs.checkpoint_checks import check_particles_alone  # imports the engine
+
+    location = f"{scene.locate('start_from')}: start_from is {scene.start_from}, but"
+    if not Path(scene.start_from).exists():
+        raise SceneError(f"{location} it does not exist; give the directory of a completed run.")
+    checkpoint, skipped = newest_checkpoint(Path(scene.start_from))
+    if checkpoint is None:
+        reason = f": {skipped[0]}" if skipped else "; give the directory of a completed run."
+        raise SceneError(f"{location} it contains no usable checkpoint{reason}")
+    before = scene_of(checkpoint.scene, str(checkpoint.path))
+    check_particles_alone(checkpoint, before)
+    names = list(before.particles)
+    shared = {name: group for name, group in groups_of(scene).items() if name in names}
+    if not shared:
+        raise SceneError(
+            f"{location} its groups are {', '.join(names)}; give the groups to continue the same names under particles."
+        )
+    found = {name: _particles_of_group(group, checkpoint, names.index(name)) for name, group in shared.items()}
+    if not any(len(particles) for particles in found.values()):
+        raise SceneError(
+            f"{location} at {checkpoint.time:.6g} s it has no particles of {', '.join(shared)}; give a run that ends "
+            "before they are deleted (granflow run --until TIME)."
+        )
+    problems = [problem for name, group in shared.items() for problem in _inconsistencies(group, found[name])]
+    if problems:
+        raise SceneError(problems)
+    return found
+
+
+def _particles_of_group(group: SceneGroup, checkpoint: Checkpoint, number: int) -> ParticleData:
+    """Return the particles of group `number` of the earlier scene, ordered by id."""
+    saved = checkpoint.saved["engine"]
+    particles = saved["particles"]
+    order = np.argsort(particles["id"], kind="stable")
+    in_group = order[saved["accounting"]["group"][particles["id"][order]] == number]
+    arrays = {key: values[in_group].astype(np.float64) for key, values in particles.items()}
+    velocity, angular_velocity = _at_the_time_of_positions(arrays, saved["clock"]["time_step"])
+    if group.spec.fixed:
+        velocity, angular_velocity = np.zeros_like(velocity), np.zeros_like(angular_velocity)
+    count = len(in_group)
+    return ParticleData(
+        position=arrays["position"],
+        velocity=velocity,
+        angular_velocity=angular_velocity,
+        radius=arrays["radius"],
+        material=np.full(count, group.material_number, np.int32),
+        group=np.full(count, group.number, np.int32),
+    )
+
+
+def _at_the_time_of_positions(arrays: dict[str, Any], time_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities [m/s] and angular velocities [rad/s] (n, 3); a checkpoint stores those half a step earlier.
+
+    v(t) = v(t - dt/2) + dt/2 F/m,      w(t) = w(t - dt/2) + dt/2 T/I,      I = 2/5 m R^2
+    """
+    mass, radius, half = arrays["mass"][:, None], arrays["radius"][:, None], 0.5 * time_step
+    velocity = arrays["velocity"] + half * arrays["force"] / mass
+    if "angular_velocity" not in arrays:
+        return velocity, np.zeros_like(velocity)
+    return velocity, arrays["angular_velocity"] + half * arrays["torque"] / (0.4 * mass * radius**2)
+
+
+def _inconsistencies(group: SceneGroup, particles: ParticleData) -> list[str]:
+    """Return a sentence for each contradiction between a group of the scene and the particles of the earlier run."""
+    spec, name, found = group.spec, group.name, []
+    if len(particles) > spec.count:
+        found.append(
+            f"{group.locate('count')}: particles.{name}.count is {spec.count}, but start_from has "
+            f"{len(particles)} particles."
+        )
+    smallest, largest = diameter_range(spec)
+    sizes = 2.0 * particles.radius
+    if len(particles) and (sizes.min() < smallest * (1 - ROUNDING) or sizes.max() > largest * (1 + ROUNDING)):
+        found.append(
+            f"{group.locate('diameter')}: particles.{name}.diameter lies in [{smallest:.6g}, "
+            f"{largest:.6g}] m, but start_from has diameters in [{sizes.min():.6g}, {sizes.max():.6g}] m."
+        )
+    return found
 
 
 def initial_state(

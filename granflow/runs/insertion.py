@@ -11,7 +11,7 @@ import numpy as np
 from granflow.engine.engine import Engine
 from granflow.load import Scene
 from granflow.particles.insertion import inserters
-from granflow.scene.schema.sizes import ClassSizes
+from granflow.scene.blocks.particles import ClassSizes
 
 
 class ParticleInsertion:

@@ -7,11 +7,9 @@ from typing import NoReturn
 
 from granflow.arguments import item_at, items_of, shown
 from granflow.errors import FunctionError, GranflowError, StopRun
-from granflow.observers.base import Checkpointable, Observer, WritesFiles
-from granflow.observers.interval import refuse_generator
-from granflow.observers.schedule import ScheduledObserver
+from granflow.observers.frames import Frames
+from granflow.observers.observer import Checkpointable, Observer, ScheduledObserver, WritesFiles, refuse_generator
 from granflow.observers.timeseries import Row, TimeSeries
-from granflow.observers.vtu import Frames
 from granflow.runs.timings import Readings
 from granflow.snapshot import Snapshot
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from granflow.engine.engine import Engine
-from granflow.engine.ranks import OneProcess
+from granflow.engine.state import OneProcess
 from granflow.io.frames import WritePieces
-from granflow.io.pvtu import Piece, piece_path
+from granflow.io.rank_files import Piece, piece_path
 from granflow.io.vtu import write_vtu
-from granflow.observers.vtu import particle_mesh
+from granflow.observers.frames import particle_mesh
 
 
 def write_pieces(engine: Engine) -> Callable[[float | None], WritePieces] | None:

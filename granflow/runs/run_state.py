@@ -15,23 +15,23 @@ from granflow.engine.checkpoint import (
     restore_state,
     saved_particles,
     saved_sums_and_clocks,
+    with_plan,
 )
-from granflow.engine.clock import Clock
 from granflow.engine.engine import Engine
-from granflow.engine.transfer import with_plan
+from granflow.engine.state import Clock
 from granflow.io.checkpoint import Checkpoint
+from granflow.plan.parts import PlannedStage
 from granflow.plan.plan import Plan
-from granflow.plan.scene_parts import PlannedStage
 from granflow.plan.walls import wall_change_times, wall_motions
-from granflow.runs.checkpoint_observers import check_observers, check_streams
+from granflow.runs.checkpoint_checks import check_observers, check_streams, rank_files_of
 from granflow.runs.insertion import ParticleInsertion
 from granflow.runs.observer_list import ObserverList
-from granflow.runs.python_changes import saved_changes
-from granflow.runs.rank_checkpoint import rank_files_of
-from granflow.runs.rest import REST_CHECKS
-from granflow.runs.resume import Change, plan_fingerprint
-from granflow.runs.stage_progress import StageProgress
+from granflow.runs.resume import Change, plan_fingerprint, saved_changes
+from granflow.runs.stages import StageProgress
 from granflow.runs.timings import WallClock
+
+REST_CHECKS = 200
+"""Number of checks for rest over the maximum duration of a stage with `kinetic_energy_below`."""
 
 
 class RunState:
@@ -204,7 +204,6 @@ def _with_particles(
 
 KEPT_SECONDS = 2.0
 """Shortest wall-clock time [s] between two copies of the state."""
-
 KEPT_SHARE = 0.003
 """Largest share of the wall-clock time that copies take."""
 

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager, suppress
 
 from granflow.errors import FunctionError, GranflowError, StopRun
 from granflow.io.checkpoint import Checkpoint
-from granflow.observers.base import TOTALS
+from granflow.observers.observer import TOTALS
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
 from granflow.runs.time_loop import TimeLoop

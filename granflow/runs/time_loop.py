@@ -1,25 +1,206 @@
 """The time loop: advances to the next event, handles it, and repeats."""
 
 import logging
-from collections.abc import Callable
-from contextlib import suppress
+import signal
+import threading
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from math import inf, isfinite
+from types import FrameType
 
-from granflow.engine.engine import Engine
-from granflow.engine.limits import abort_message, permitted_change
-from granflow.errors import FunctionError, RunError, StopRun
-from granflow.observers.base import TOTALS
-from granflow.plan.scene_parts import PlannedStage
-from granflow.runs.exits import log_exits
-from granflow.runs.interrupts import stop_of
-from granflow.runs.rest import REST_CHECKS, ends_at_rest, warn_without_rest
+import numpy as np
+
+from granflow.engine.abort import abort_message, permitted_change
+from granflow.engine.engine import Engine, RestState
+from granflow.engine.totals import EXIT_FACES
+from granflow.errors import FunctionError, GranflowError, RunError, StopRun
+from granflow.observers.observer import TOTALS
+from granflow.plan.parts import PlannedStage
+from granflow.plan.plan import Plan
 from granflow.runs.result import Result
 from granflow.runs.run_directory import RunDirectory
-from granflow.runs.run_state import LastGoodState, RunState
-from granflow.runs.step_batches import StepBatches
+from granflow.runs.run_state import REST_CHECKS, LastGoodState, RunState
 from granflow.runs.timings import collect_result
+from granflow.units import seconds_of
+
+# Warning at the end of a run about particles that left the domain where none is expected to leave it.
+
+LARGE_SHARE = 0.05
+"""Fraction of the inserted particles that can leave a domain without outlets, except downward and through meters."""
+
+
+def log_exits(engine: Engine, result: Result) -> None:
+    """Log a warning about particles that left the domain outside the outlets; `result`: numbers of the run."""
+    meters = sum(each.get("flow_count", 0.0) for each in result.flow_meters.values())
+    sentence = exit_warning(engine.plan, engine.accounting.exits, engine.accounting.inserted_count, meters)
+    if sentence is not None:
+        logging.getLogger("granflow").warning("%s", sentence)
+
+
+def exit_warning(plan: Plan, exits: dict[str, int], inserted: int, through_meters: float) -> str | None:
+    """Sentence on the particles that left the domain, with the face through which most of them did; None if expected.
+
+    With outlets, no other exit is expected. Without, particles can leave downward, as from a hopper, and as many as
+    pass flow meters can leave anywhere.
+
+    exits:           number of particles by face of the domain, outside the outlets
+    inserted:        number of inserted particles
+    through_meters:  number of particles that passed flow meters
+    """
+    total = sum(exits.values())
+    sideward = total - sum(exits[face] for face in _lower_faces(plan))
+    expected = 0 if plan.outlets else max(LARGE_SHARE * inserted, through_meters)
+    if (total if plan.outlets else sideward) <= expected:
+        return None
+    most = max(exits, key=lambda face: exits[face])
+    axis, end = most.split("_")
+    bound = getattr(plan.domain, end)["xyz".index(axis)]
+    outside = " outside the outlets" if plan.outlets else ""
+    return (
+        f"{total} of {inserted} particles left the domain{outside}, {exits[most]} of them through its face at "
+        f"{axis} = {bound:.4g} m: they are deleted. If this is not intended, check the walls and domain.{end}; "
+        "otherwise give this region an outlet."
+    )
+
+
+def _lower_faces(plan: Plan) -> set[str]:
+    """Faces of the domain toward which gravity points."""
+    signs = np.concatenate([-np.array(plan.gravity), np.array(plan.gravity)])
+    return {face for face, sign in zip(EXIT_FACES, signs, strict=True) if sign > 0.0}
+
+
+# Ctrl-C in a Python program that runs a simulation.
+
+
+class Terminated(KeyboardInterrupt):
+    """Raised on SIGTERM: ends a run in the same way as Ctrl-C."""
+
+
+def stop_of(number: int) -> KeyboardInterrupt:
+    """The exception with which a stop signal ends a run."""
+    return Terminated() if number == signal.SIGTERM else KeyboardInterrupt()
+
+
+@contextmanager
+def stopping_on_interrupt(stop: Callable[[BaseException], None]) -> Iterator[None]:
+    """In the block, Ctrl-C calls `stop` with a KeyboardInterrupt; a second one raises it at once.
+
+    Between two launches the data on the host are complete, and a checkpoint can be written. No effect outside the main
+    thread, which receives all signals, or if the program handles SIGINT itself.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        stop(KeyboardInterrupt())
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# Ends of stages at rest: low kinetic energy of particles whose weight is supported.
+
+LARGEST_UNBALANCED = 0.2
+"""Largest net force on all particles over their weight at rest. It is 1 in free fall, also at the start from rest and
+at the top of a bounce, and 1 - cundall with damping. Internal forces cancel, so that vibrations of stiff contacts, with
+accelerations of single particles above gravity, do not delay the end."""
+
+
+def ends_at_rest(stage: PlannedStage, stage_times: Mapping[str, tuple[float, float]], engine: Engine) -> bool:
+    """Whether a stage ends because its particles are at rest after its shortest duration; the end is logged.
+
+    stage_times:  start and end [s] of the stages
+    """
+    if stage.kinetic_energy_below is None or not engine.reached(stage_times[stage.name][0] + stage.shortest):
+        return False
+    state = engine.rest_state()
+    if not _is_rest(stage, state):
+        return False
+    logging.getLogger("granflow").info("stage %s ends at %.6g s: %s", stage.name, engine.time, _statement(stage, state))
+    return True
+
+
+def warn_without_rest(stage: PlannedStage, engine: Engine, insertion_is_done: bool) -> None:
+    """Warn that the particles are not at rest at the end of the longest duration of a stage that requires it."""
+    if stage.kinetic_energy_below is None:
+        return
+    state = engine.rest_state()
+    pending = "" if insertion_is_done else "insertion continues; "
+    if pending or not _is_rest(stage, state):
+        logging.getLogger("granflow").warning(
+            "stage %s (%s): its longest duration of %.6g s is over, but %s%s.",
+            stage.name, stage.source, stage.longest, pending, _statement(stage, state),
+        )  # fmt: skip
+
+
+def _is_rest(stage: PlannedStage, state: RestState) -> bool:
+    """Whether the kinetic energy is below the limit, and the walls carry the weight."""
+    limit = stage.kinetic_energy_below
+    return limit is not None and state.kinetic_energy < limit and state.unbalanced < LARGEST_UNBALANCED
+
+
+def _statement(stage: PlannedStage, state: RestState) -> str:
+    limit = stage.kinetic_energy_below
+    assert limit is not None
+    below = "below" if state.kinetic_energy < limit else "not below"
+    return (
+        f"the mean kinetic energy is {state.kinetic_energy:.3g} J, {below} {limit:.3g} J, and the net force on the "
+        f"particles is {state.unbalanced:.2g} of their weight (at most {LARGEST_UNBALANCED:g})"
+    )
+
+
+# Times of `Simulation.run`: text with units, durations, and their limits.
+
+
+def end_of_run(until: float | str | None, duration: float | str | None, now: float, time_step: float) -> float:
+    """End [s] of a run until a time or for a duration, numbers in s or text with units; infinite without both.
+
+    now:        present time [s]
+    time_step:  present time step [s]
+    Raises:     GranflowError
+    """
+    until, duration = (
+        None if time is None else seconds_of(name, time) for name, time in (("until", until), ("duration", duration))
+    )
+    if until is not None and duration is not None:
+        raise GranflowError("run takes until or duration, not both.")
+    if until is not None and until < now - time_step:
+        raise GranflowError(f"until is {until:g} s, but the simulation is at {now:g} s.")
+    for name, time in (("until", until), ("duration", duration)):
+        if time is not None and not isfinite(now + time):
+            raise GranflowError(f"{name} is {time} s, but must be finite.")
+    if duration is not None and duration < 0.0:
+        raise GranflowError(f"duration is {duration:g} s, but must not be negative.")
+    return now + duration if duration is not None else inf if until is None else until
+
+
+# Batches of steps: between batches, signals are handled and checkpoints are written.
+
+CHUNK_SECONDS = 0.2
+"""Wall-clock time of one batch [s]."""
+
+
+class StepBatches:
+    """Takes steps in batches of about CHUNK_SECONDS: their length follows the measured rate, and at most doubles."""
+
+    def __init__(self) -> None:
+        self._steps = 1
+
+    def advance(self, engine: Engine, most: int) -> None:
+        """Take one batch of at most `most` steps."""
+        began, before = clock.perf_counter(), engine.step_count
+        engine.advance(min(self._steps, most))
+        step_rate = (engine.step_count - before) / max(clock.perf_counter() - began, 1e-9)
+        self._steps = max(min(int(step_rate * CHUNK_SECONDS), 2 * self._steps), 1)
 
 
 class TimeLoop:
@@ -70,7 +251,7 @@ class TimeLoop:
 
         The stage ends after its longest duration, at the first row of the time series that satisfies one of its
         conditions, or, with `kinetic_energy_below`, at the first check at which the particles are at rest; REST_CHECKS
-        checks are distributed evenly (see `granflow.runs.rest`). A resumed stage continues at its target.
+        checks are distributed evenly (see `granflow.runs.time_loop`). A resumed stage continues at its target.
         """
         progress = self.state.progress
         if stage.name not in progress.stage_times:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from granflow.scene.schema.scene import SceneInput
+from granflow.scene.blocks.scene import SceneInput
 
 ALLOWED_CHANGES: dict[str, str] = {
     r"title|description|expect(\.|$).*": "title, description and expectations",

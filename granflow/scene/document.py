@@ -1,15 +1,35 @@
 """YAML 1.2 text as a tree with the source position of each key and value.
 
-`granflow.scene.yaml12` builds it.
+`granflow.scene.document` builds it.
 """
 
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-_LONGEST_SHOWN = 60  # characters of a value shown in a message
+import numpy as np
+from pydantic import BaseModel
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
 
-KeyPath = tuple[str | int, ...]
-"""Keys and list indices from the root of a scene, such as ("stages", 0, "duration")."""
+from granflow.units import KeyPath
+
+_LONGEST_SHOWN = 60  # characters of a value shown in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,3 +184,294 @@ class Document:
         """Line of the key at a path, or of the nearest existing parent key, as `file:line`."""
         position = self.key_position(path)
         return f"{position.source}:{position.line}" if position.line else position.source
+
+
+# Scenes given as Python mappings: a document with key paths as positions, such as
+# `materials.glass.restitution`.
+
+ROOT = "scene"
+"""Position of the whole scene in messages."""
+
+
+def document_of(data: Mapping[str, Any], root: str = ROOT) -> Document:
+    """The tree of a mapping of keys to values, as in a scene file; `root`: name of the whole mapping in messages.
+
+    Values: numbers, text with units, lists, tuples, numpy arrays, mappings, paths, and parts of another scene. Problems
+    of the document: keys that are not text, and values of other types.
+    """
+    document = Document(root, Node(SourcePosition(root)), subject="the scene" if root == ROOT else root)
+    document.root = _node(data, (), document)
+    return document
+
+
+def _node(value: Any, path: KeyPath, document: Document) -> Node:
+    """The value at a path of keys and indices, and all values below it."""
+    position = _position(path, document.source)
+    if isinstance(value, BaseModel):
+        value = value.model_dump(by_alias=True, exclude_unset=True, exclude_none=True)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        entries = {}
+        for key, each in value.items():
+            if not isinstance(key, str):
+                document.problems.append(Problem(position, f"the key {key!r} is not text; put it in quotes."))
+            below = (*path, str(key))
+            entries[str(key)] = MappingEntry(_position(below, document.source), _node(each, below, document))
+        return Node(position, entries=entries)
+    if isinstance(value, list | tuple):
+        return Node(position, items=[_node(each, (*path, index), document) for index, each in enumerate(value)])
+    if isinstance(value, Path):
+        value = str(value)
+    if not isinstance(value, str | int | float | None):
+        kind = type(value).__name__
+        document.problems.append(Problem(position, f"a value is of type {kind}; give a number, text, list or mapping."))
+        value = None
+    return Node(position, scalar=value, text=_text(value))
+
+
+def _text(value: str | float | None) -> str:
+    """The value in the notation of scene files; empty for None."""
+    return value if isinstance(value, str) else "" if value is None else json.dumps(value)
+
+
+def _position(path: KeyPath, root: str) -> SourcePosition:
+    return SourcePosition(".".join(map(str, path)) or root)
+
+
+# Parser of YAML 1.2 text into a `Document`.
+#
+# Supports the core schema: mappings, lists, text, numbers, true, false and null; anchors and aliases; no
+# tags, no merge keys. Errors: duplicate keys, aliases that contain themselves, and aliases that add too
+# many values.
+#
+# The scanner and the parser are those of ruamel.yaml; the tree is built from their events. The round-trip
+# loader of ruamel.yaml is not used: it reads `1_000`, `0b11` and dates as in YAML 1.1, reports only the
+# first duplicate key, drops the source text of values, and takes 1.4 times as long. Its composer has no
+# limits of size and resolves tags first.
+
+MAX_DEPTH = 40  # a scene is at most 9 deep
+_MAX_ALIASED = 100_000  # largest number of nodes added by aliases
+_MAX_VALUES = 250_000  # 60 000 positions; the same number of errors takes 0.7 GB
+_MAX_KEYS = 5000  # in one mapping
+_MAX_INTEGER_DIGITS = 400  # longer integers exceed the range of float
+_YAML_TAGS = "tag:yaml.org,2002:"
+_FORBIDDEN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_WORDS = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
+_NAN = re.compile(r"\.(nan|NaN|NAN)")
+
+
+def parse(text: str, source: str, *, with_positions: bool = True) -> Document:
+    """Read YAML 1.2 text. Without `with_positions`, all positions are the source only (for overrides).
+
+    `source`: name of the file for positions. Duplicate keys are in `Document.problems`; the first one applies.
+
+    Raises DocumentError for errors that prevent reading: syntax errors, tags, recursive aliases, several documents, and
+    more values, keys or levels than a scene can have.
+    """
+    return _Composer(source, with_positions).compose(text)
+
+
+class _Composer:
+    """Builds the tree from the parser's events.
+
+    `anchors`: nodes by anchor, None while the node is incomplete. `aliased`, `count`: numbers of values for the limits.
+    """
+
+    def __init__(self, source: str, with_positions: bool) -> None:
+        self.source = source
+        self.with_positions = with_positions
+        self.anchors: dict[str, Node | None] = {}
+        self.aliased = 0
+        self.count = 0
+        self.problems: list[Problem] = []
+
+    def compose(self, text: str) -> Document:
+        """The document with positions, aliases resolved. Raises DocumentError.
+
+        Aliased nodes are shared, not copied; their number is limited.
+        """
+        root: Node | None = None
+        self._printable(text)
+        try:
+            events = iter(YAML(typ="safe", pure=True).parse(text))
+            for event in events:
+                if isinstance(event, DocumentStartEvent):
+                    if root is not None:
+                        raise self._error(event, "a second document begins here, but a scene is one document")
+                    root = self._node(next(events), events, depth=0)
+        except MarkedYAMLError as error:
+            raise DocumentError(self._syntax(error, text)) from None
+        except (YAMLError, ValueError, RecursionError) as error:
+            first = str(error).partition("\n")[0]
+            raise DocumentError(Problem(SourcePosition(self.source), f"this is not YAML text: {first}.")) from None
+        return Document(self.source, root or Node(self._position(1, 1)), self.problems)
+
+    def _printable(self, text: str) -> None:
+        """Reject characters that YAML does not allow. Raises DocumentError with the position of the first one."""
+        if found := _FORBIDDEN.search(text):
+            lines = text[: found.start()].splitlines() or [""]
+            position = self._position(len(lines), len(lines[-1]) + 1)
+            code = f"U+{ord(found.group()):04X}"
+            raise DocumentError(Problem(position, f"the text contains the control character {code}; delete it."))
+
+    def _position(self, line: int, column: int) -> SourcePosition:
+        return SourcePosition(self.source, line, column) if self.with_positions else SourcePosition(self.source)
+
+    def _at(self, event: Event) -> SourcePosition:
+        return self._position(event.start_mark.line + 1, event.start_mark.column + 1)
+
+    def _error(self, event: Event, sentence: str) -> DocumentError:
+        return DocumentError(Problem(self._at(event), sentence + "."))
+
+    def _syntax(self, error: MarkedYAMLError, text: str) -> Problem:
+        """The problem of a syntax error of the parser, at the position that helps most."""
+        mark = error.problem_mark or error.context_mark
+        if error.context_mark and _starts_helps_more(error):
+            mark = error.context_mark
+        position = self._position(mark.line + 1, mark.column + 1) if mark else SourcePosition(self.source)
+        line = text.splitlines()[mark.line : mark.line + 1] if mark else []
+        return Problem(position, _syntax_sentence(error, "".join(line).strip()))
+
+    def _node(self, event: Any, events: Iterator[Event], depth: int) -> Node:
+        """The node that begins with an event; consumes its events.
+
+        Raises DocumentError above the limits, or for a tag.
+        """
+        if isinstance(event, AliasEvent):
+            return self._alias(event)
+        if depth > MAX_DEPTH:
+            raise self._error(
+                event, f"this is nested more than {MAX_DEPTH} levels deep; at most {MAX_DEPTH} levels are supported"
+            )
+        if getattr(event, "tag", None):
+            tag = event.tag.replace(_YAML_TAGS, "!!")
+            raise self._error(event, f"the tag {tag} is not supported in scenes; remove it")
+        self.count += 1
+        if self.count > _MAX_VALUES:
+            raise self._error(event, f"the file has more than {_MAX_VALUES} values up to here, too many for a scene")
+        if event.anchor:
+            self.anchors[event.anchor] = None
+        if isinstance(event, ScalarEvent):
+            value = resolve(event.value) if event.style is None else self._quoted(event)
+            node = Node(self._at(event), scalar=value, text=event.value)
+        else:
+            node = (self._list if isinstance(event, SequenceStartEvent) else self._mapping)(event, events, depth)
+        if event.anchor:
+            self.anchors[event.anchor] = node
+        return node
+
+    def _quoted(self, event: ScalarEvent) -> str:
+        """Quoted text; pairs of escaped surrogates (as in JSON) are joined to one character.
+
+        Raises DocumentError for a surrogate without its pair.
+        """
+        try:
+            return event.value.encode("utf-16", "surrogatepass").decode("utf-16")
+        except UnicodeDecodeError:
+            raise self._error(
+                event, "this text has an escaped surrogate without its pair; write the character itself"
+            ) from None
+
+    def _alias(self, event: AliasEvent) -> Node:
+        """The node of an anchor.
+
+        Raises DocumentError for an unknown anchor, a recursive alias, or too many aliased values.
+        """
+        if event.anchor not in self.anchors:
+            raise self._error(event, f"the alias *{event.anchor} has no anchor &{event.anchor} above it")
+        node = self.anchors[event.anchor]
+        if node is None:
+            raise self._error(event, f"the alias *{event.anchor} contains itself")
+        self.aliased += node.size
+        if self.aliased > _MAX_ALIASED:
+            raise self._error(event, f"aliases add more than {_MAX_ALIASED} values up to here; use fewer aliases")
+        return node
+
+    def _list(self, start: SequenceStartEvent, events: Iterator[Event], depth: int) -> Node:
+        """The node of a list."""
+        items: list[Node] = []
+        while not isinstance(event := next(events), SequenceEndEvent):
+            items.append(self._node(event, events, depth + 1))
+        return Node(self._at(start), items=items, size=1 + sum(item.size for item in items))
+
+    def _mapping(self, start: MappingStartEvent, events: Iterator[Event], depth: int) -> Node:
+        """The node of a mapping; a duplicate key is a problem. Raises DocumentError above the limit of keys."""
+        entries: dict[str, MappingEntry] = {}
+        for count in itertools.count():
+            if isinstance(event := next(events), MappingEndEvent):
+                break
+            if count == _MAX_KEYS:
+                raise self._error(event, f"this mapping has more than {_MAX_KEYS} keys, too many for a scene")
+            key = self._key(event)
+            entry = MappingEntry(self._at(event), self._node(next(events), events, depth + 1))
+            if entry.node.is_empty:
+                entry.node.position = entry.key_position  # the parser reports the position of the next token
+            if key in entries:
+                first = entries[key].key_position
+                self.problems.append(
+                    Problem(entry.key_position, f"{key} is a duplicate of the key at line {first.line}. Keep one.")
+                )
+            else:
+                entries[key] = entry
+        size = 1 + sum(entry.node.size for entry in entries.values())
+        return Node(self._at(start), entries=entries, size=size)
+
+    def _key(self, event: Any) -> str:
+        """The text of a key. Raises DocumentError for a key that is not plain text, and for the merge key <<."""
+        if not isinstance(event, ScalarEvent) or event.tag:
+            raise self._error(event, "a key must be plain text, such as radius")
+        if event.value == "<<" and event.style is None:
+            raise self._error(event, "the merge key << is not part of YAML 1.2; write the keys out")
+        return event.value
+
+
+def resolve(text: str) -> Any:
+    """The YAML 1.2 value of plain text (core schema): `012` is 12, `1e-5` is 0.00001, `yes` is text.
+
+    None, bool, int, float or str; an integer with more than 400 digits is infinity.
+    """
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
+        base = 0 if text.startswith(("0o", "0x")) else 10
+        return int(text, base) if len(text) <= _MAX_INTEGER_DIGITS else math.inf
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if _INFINITY.fullmatch(text):
+        return -math.inf if text.startswith("-") else math.inf
+    return math.nan if _NAN.fullmatch(text) else text
+
+
+def _starts_helps_more(error: MarkedYAMLError) -> bool:
+    """Whether the start of the construct is a more useful position than the point of failure of the parser."""
+    context = str(error.context)
+    return "simple key" in context or "flow" in context or "quoted" in context
+
+
+def _syntax_sentence(error: MarkedYAMLError, line: str) -> str:
+    """A sentence on a syntax error with its remedy; `line`: text of the line with the error."""
+    problem, context = str(error.problem or error.context), str(error.context)
+    if r"\t" in problem or "'\t'" in problem:
+        return "the indentation contains a tab, but YAML requires spaces. Replace the tab by spaces."
+    if "mapping values are not allowed" in problem:
+        return (
+            "a second key begins here, or the indentation differs from the line above. "
+            "Write each key on a separate line, and put text with a colon in quotes."
+        )
+    if "simple key" in context:
+        return f'"{line}" has no colon. Write key: value, with a space after the colon.'
+    if "quoted" in context:
+        return "the quote that opens here is not closed."
+    for kind, opening, closing in (("sequence", "[", "]"), ("mapping", "{", "}"), ("node", "bracket", "its partner")):
+        if "flow " + kind in context:
+            return f"the {opening} that opens here is not closed by {closing}, or a comma is missing in it."
+    return f"this is not YAML: {problem}."

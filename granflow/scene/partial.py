@@ -7,12 +7,11 @@ from typing import Annotated, Any, get_origin
 
 from pydantic import BaseModel, Field, create_model
 
-from granflow.scene.document import Document, KeyPath
-from granflow.scene.schema.faults import Fault
-from granflow.scene.schema.fields import faults_of
-from granflow.scene.schema.scene import SceneInput
-from granflow.scene.schema.walls import FACES
-from granflow.scene.suggest import nearest
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls import FACES
+from granflow.scene.document import Document
+from granflow.scene.model import faults_of, nearest
+from granflow.units import Fault, KeyPath
 
 
 @dataclass(frozen=True)

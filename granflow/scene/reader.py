@@ -1,20 +1,195 @@
 """Scene reader: file to tree, overrides, schema, consistency checks. Reports all problems at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from granflow.contact.law import SLOTS
 from granflow.errors import SceneError
-from granflow.scene import overrides as overriding
-from granflow.scene.document import Document, DocumentError, Problem
-from granflow.scene.messages import problems_of
+from granflow.scene import (
+    checks as clumps,
+)
+from granflow.scene import (
+    checks as liquid,
+)
+from granflow.scene import (
+    checks as output,
+)
+from granflow.scene import (
+    checks as pairs,
+)
+from granflow.scene import (
+    checks as regions,
+)
+from granflow.scene import (
+    checks as stages,
+)
+from granflow.scene.blocks.materials import RestitutionFit
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.document import Document, DocumentError, MappingEntry, Node, Problem, SourcePosition, parse
+from granflow.scene.model import dotted, model_at, nearest, problem_at, problems_of, suggestion_or_list
 from granflow.scene.partial import PartialScene, partial_scene_of
-from granflow.scene.schema.materials import RestitutionFit
-from granflow.scene.schema.scene import SceneInput
-from granflow.scene.suggest import nearest
-from granflow.scene.validation import consistency_problems
-from granflow.scene.yaml12 import parse
+from granflow.units import Fault, whole
+
+# Overrides from the command line, `key.path=value`, applied to the tree of a scene before validation.
+
+SINGLE_ITEMS = ("motion",)
+"""Keys with a list, or with one of its items in place of the list. Resolved scenes have the list; with both forms of a
+scene the same override is valid, with or without the index 0."""
+SHORT_LAWS = [["contact", slot] for slot in SLOTS]
+"""Keys with the name of a contact model, or with a mapping that begins with the key `law`."""
+
+
+class _Refused(Exception):
+    """An override that does not fit the scene; the message of the exception is the error message."""
+
+
+def apply(document: Document, override: str) -> list[Problem]:
+    """Apply one override to the document; return its problems.
+
+    `override`: key.path=value, where the value is YAML and list items have indices from 0. Missing parents that the
+    schema knows are created. The root of the document is replaced by a modified copy. Problems have the override as
+    their position.
+    """
+    source = f"--set {override}"
+    position = SourcePosition(source)
+    path, equals, text = override.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        return [Problem(position, "an override has the form key.path=value, such as run.duration=2.")]
+    if not text.strip():
+        return [Problem(position, f"{path.strip()} has no value; write it after the equals sign.")]
+    try:
+        value = parse(text, source, with_positions=False)
+        document.root = _with(document.root, keys, value.root, position, depth=0)
+    except DocumentError as error:
+        return [error.problem]
+    except _Refused as refusal:
+        return [Problem(position, str(refusal))]
+    return value.problems
+
+
+def _with(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
+    """Copy of the tree with the value at keys[depth:] below this node; nodes shared by aliases do not change.
+
+    Raises _Refused if the path does not exist in the scene or the schema.
+    """
+    if depth == len(keys):
+        return value
+    if node.items is not None:
+        return _with_item(node, keys, value, position, depth)
+    if node.entries is None and keys[:depth] in SHORT_LAWS and isinstance(node.scalar, str):
+        node = replace(node, entries={"law": MappingEntry(position, node)}, scalar=None)
+    if node.entries is not None and keys[depth] == "0" and keys[depth - 1] in SINGLE_ITEMS:
+        return _with(node, keys, value, position, depth + 1)
+    if node.entries is None:
+        parent = dotted(keys[:depth])
+        raise _Refused(f"{parent or 'the scene'} is {node.shown()}, which has no keys; set {parent} as a whole.")
+    key = _key(node.entries, keys[depth])
+    entry = node.entries.get(key)
+    if entry is None and depth + 1 < len(keys):
+        entry = MappingEntry(position, _new_part(node.entries, keys, depth, position))
+    child = _with(entry.node if entry else value, keys, value, position, depth + 1)
+    key_position = position if depth + 1 == len(keys) or entry is None else entry.key_position
+    return replace(node, entries=node.entries | {key: MappingEntry(key_position, child)})
+
+
+def _with_item(node: Node, keys: Sequence[str], value: Node, position: SourcePosition, depth: int) -> Node:
+    """Copy of a list node with one item replaced. Raises _Refused for an invalid index."""
+    items = list(node.items or ())
+    index = keys[depth]
+    if keys[depth - 1] in SINGLE_ITEMS and len(items) == 1 and not index.isdigit():
+        return replace(node, items=[_with(items[0], keys, value, position, depth)])
+    if not (index.isascii() and index.isdigit() and int(index) < len(items)):
+        numbers = f"items 0 to {len(items) - 1}" if len(items) > 1 else f"{len(items)} item" + "s" * (not items)
+        raise _Refused(f"{dotted(keys[:depth])} is a list of {numbers}, so the index {index} is invalid.")
+    items[int(index)] = _with(items[int(index)], keys, value, position, depth + 1)
+    return replace(node, items=items)
+
+
+def _key(entries: dict[str, MappingEntry], key: str) -> str:
+    """The key in the order of the scene: an override may name a pair in either order."""
+    reversed_key = "-".join(reversed(key.split("-")))
+    return reversed_key if key not in entries and reversed_key in entries else key
+
+
+def _new_part(entries: dict[str, MappingEntry], keys: Sequence[str], depth: int, position: SourcePosition) -> Node:
+    """An empty mapping for a part that is missing in the file, such as `numerics`.
+
+    Raises _Refused for an unknown part.
+    """
+    if model_at(SceneInput, tuple(keys[: depth + 1])) is None or (
+        depth and model_at(SceneInput, tuple(keys[:depth])) is None
+    ):
+        known = list(entries) if depth else list(SceneInput.model_fields)
+        parent, fault = (f"keys in {dotted(keys[:depth])}", "in the scene") if depth else ("known keys", "a known key")
+        remedy = suggestion_or_list(keys[depth], known, parent)
+        raise _Refused(f"{dotted(keys[: depth + 1])} is not {fault}. {remedy.rstrip('.')}".rstrip() + _dot(remedy))
+    return Node(position, entries={})
+
+
+def _dot(text: str) -> str:
+    return "" if text.endswith("?") else "."
+
+
+# Consistency checks within and between the parts of a scene.
+#
+# Each check is a function from a `PartialScene` to faults. `_CHECKS` lists the sections that must be
+# complete before a check runs, so that one mistake does not cause consequential messages.
+
+_MAX_ENTRIES = {
+    "materials": 50, "pairs": 1275, "walls": 1000, "particles": 100, "outlets": 50, "stages": 1000, "expect": 1000
+}  # fmt: skip
+"""Largest number of entries of each section: the cost of some checks grows with its square."""
+_CHECKS: tuple[tuple[tuple[str, ...], Callable[[PartialScene], Iterator[Fault]]], ...] = (
+    ((), pairs.materials_exist),
+    ((), pairs.material_names),
+    (("particles",), pairs.possible_contacts_have_a_pair),
+    (("contact",), pairs.pair_options),
+    (("contact",), pairs.restitution),
+    (("stages",), stages.stage_names),
+    (("stages", "run"), stages.duration),
+    (("gravity",), stages.gamma_requires_gravity),
+    (("run",), stages.force_controlled_walls),
+    ((), regions.some_particles),
+    (("domain",), regions.inside_domain),
+    (("domain", "particles", "output"), regions.lees_edwards),
+    (("domain", "run", "output"), clumps.unsupported),
+    (("contact",), liquid.transfer),
+    (("output", "stages", "domain"), output.field_grids),
+    (("output", "gravity", "domain"), output.metrics),
+    (("output", "expect", "stages"), output.expected_names),
+    (("output", "expect", "stages"), output.expected_parts),
+    (("output", "expect", "stages"), output.expected_metrics),
+    (("output", "expect", "stages"), output.wall_forces),
+    (("stages", "walls"), output.condition_columns),
+)
+"""Sections that must be complete, and the check that needs them."""
+
+
+def consistency_problems(parts: PartialScene) -> list[Problem]:
+    """All problems within and between the parts of a scene that may be incomplete, in no particular order.
+
+    If a section has too many entries, checks between parts are omitted, because the time of some of them grows with the
+    square of the number of entries.
+    """
+    faults, overfull = list(parts.faults()), list(_overfull_sections(parts))
+    for needed, check in _CHECKS if not overfull else ():
+        if parts.complete.issuperset(needed):
+            faults += check(parts)
+    return [problem_at(parts.document, fault) for fault in (*faults, *overfull)]
+
+
+def _overfull_sections(parts: PartialScene) -> Iterator[Fault]:
+    """Faults of sections with more entries than _MAX_ENTRIES."""
+    for section, limit in _MAX_ENTRIES.items():
+        node = parts.document.root.child(section)
+        count = len(node.entries or node.items or ()) if node is not None else 0
+        if count > limit:
+            yield whole((section,), f"has {count} entries, but the limit is {limit}")
+
 
 _MAX_FILE_SIZE = 4 * 2**20  # bytes; reading a file of this size takes seconds
 _MAX_SHOWN = 100  # problems
@@ -28,7 +203,7 @@ def scene_in(document: Document, overrides: Sequence[str] = (), folder: Path | N
     """
     problems = list(document.problems)
     for override in overrides:
-        problems += overriding.apply(document, override)
+        problems += apply(document, override)
     scene, found = _validated(document)
     problems += found
     if scene is None or problems:

@@ -5,16 +5,15 @@ from inspect import unwrap
 
 from granflow.arguments import refuse_other, shown
 from granflow.contact import registry
-from granflow.contact.branches import run_time_branches, source_lines
-from granflow.contact.model import SLOTS, ContactModel
-from granflow.contact.options import Amount, Choice
+from granflow.contact.device import run_time_branches, source_lines
+from granflow.contact.law import SLOTS, Amount, Choice, ContactModel
 from granflow.errors import GranflowError
 from granflow.scene import partial
-from granflow.scene.reference import schema_keys
-from granflow.scene.schema import contact, materials
-from granflow.scene.schema.fields import Model
-from granflow.scene.schema.scene import SceneInput
-from granflow.scene.schema.units import DIMENSIONS
+from granflow.scene import reference as schema_keys
+from granflow.scene.blocks import contact, materials
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.model import Model
+from granflow.units import DIMENSIONS
 
 VECTORIZED = ("force", "torque", "limit", "tangential_stiffness", "damping", "attraction")
 """Device functions that are evaluated for many contacts at once."""

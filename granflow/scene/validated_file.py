@@ -7,11 +7,9 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from granflow.errors import FileError, SceneError
-from granflow.scene.document import Document, Problem
-from granflow.scene.mapping import document_of
-from granflow.scene.messages import problem_at, problems_of
+from granflow.scene.document import Document, Problem, document_of
+from granflow.scene.model import Model, faults_of, problem_at, problems_of
 from granflow.scene.reader import document_in
-from granflow.scene.schema.fields import Model, faults_of
 
 M = TypeVar("M", bound=Model)
 

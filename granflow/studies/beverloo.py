@@ -14,7 +14,7 @@ import numpy as np
 
 from granflow import GranflowError, read_run
 from granflow.io.tables import read_table
-from granflow.scene.schema.units import UnitError, split_heading, to_si, with_unit
+from granflow.units import UnitError, split_heading, to_si, with_unit
 
 EXPONENT = 2.5
 """Exponent of Beverloo's law."""

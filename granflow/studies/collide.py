@@ -9,10 +9,18 @@ import numpy as np
 from granflow import GranflowError, Plan, SceneError
 from granflow.contact import theory
 from granflow.contact.registry import models
-from granflow.scene.schema.presets import PRESETS
-from granflow.scene.suggest import suggestion_sentence
-from granflow.studies.collision_bench import Collision, CollisionBench, duration_given
-from granflow.studies.reference_path import Impact, damped_path, end_overlap, history_along, loading_path
+from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.model import suggestion_sentence
+from granflow.studies.bench import (
+    Collision,
+    CollisionBench,
+    Impact,
+    damped_path,
+    duration_given,
+    end_overlap,
+    history_along,
+    loading_path,
+)
 
 FORCE_RESOLUTION = 1e-6
 """Forces below this share of the largest one are rounding: a GPU contracts products and sums, so that in float32 the

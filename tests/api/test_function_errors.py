@@ -8,9 +8,7 @@ import pytest
 from scene_builders import build_scene, particle_group
 
 import granflow as gf
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import HistoryField
-from granflow.contact.model import ContactModel
+from granflow.contact.law import CohesionLaw, ContactModel, HistoryField
 from granflow.device_functions import ti
 from granflow.scene.registration import unregister_contact_model
 

@@ -75,7 +75,7 @@ def test_examples_of_other_classes_run(folder, monkeypatch):
 
 
 def test_examples_are_not_in_the_schema_of_files():
-    from granflow.scene.jsonschema import json_schema
+    from granflow.scene.reference import json_schema
 
     assert ">>>" in (gf.Cylinder.__doc__ or "") and ">>>" not in str(json_schema())
 

@@ -15,7 +15,7 @@ from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
 from granflow.io.checkpoint import checkpoint_at
-from granflow.runs.checkpoint_schedule import CheckpointWriter
+from granflow.runs.run_directory import CheckpointWriter
 
 ARRAYS = ("position", "velocity", "angular_velocity")
 

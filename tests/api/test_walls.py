@@ -7,10 +7,8 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 import granflow as gf
-from granflow.geometry.motion import Rotation, Translation, Vibration, placement_at, pose
-from granflow.geometry.motion_table import MotionTable, TableRotation
-from granflow.plan.build import plan_for
-from granflow.plan.wall_changes import with_motions
+from granflow.geometry.motion import MotionTable, Rotation, TableRotation, Translation, Vibration, placement_at, pose
+from granflow.plan.build import plan_for, with_motions
 
 GRAVITY = 9.81
 

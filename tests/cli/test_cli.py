@@ -10,17 +10,16 @@ from pathlib import Path
 import pytest
 
 import granflow.load
+from granflow.cli.arguments import Terminated, show_comparison
 from granflow.cli.main import build_parser, main
-from granflow.cli.messages import Terminated, show_comparison
-from granflow.cli.scenes import prepare_output
+from granflow.cli.run import prepare_output
 from granflow.errors import GranflowError, RunError, SceneError
-from granflow.io.lock import locked
+from granflow.io.files import locked
 from granflow.load import Scene
-from granflow.runs.expectations import ExpectationResult
-from granflow.runs.previous import RESULT_FILES
-from granflow.runs.result import Result
-from granflow.scene.schema.insertion import FileInsertion
-from granflow.scene.schema.walls import MeshWall
+from granflow.runs.result import ExpectationResult, Result
+from granflow.runs.run_directory import RESULT_FILES
+from granflow.scene.blocks.particles import FileInsertion
+from granflow.scene.blocks.walls import MeshWall
 
 
 @pytest.fixture
@@ -65,7 +64,7 @@ def stubs(monkeypatch, tmp_path):
 
     monkeypatch.setattr(granflow.load, "load", load)
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=Simulation))
-    monkeypatch.setattr(granflow.cli.scenes, "restitution_warnings", lambda scene, plan: [])
+    monkeypatch.setattr(granflow.cli.run, "restitution_warnings", lambda scene, plan: [])
     monkeypatch.setitem(sys.modules, "granflow.studies.collide", types.SimpleNamespace(collide=collide))
     monkeypatch.chdir(tmp_path)
     return calls

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from granflow.cli.main import main
-from granflow.scene.jsonschema import json_schema
+from granflow.scene.reference import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT / "scenes"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from granflow.engine.kernel_cache import KERNELS, LANGUAGE, LOCKS
+from granflow.engine.backend import CACHED_KERNELS as KERNELS
+from granflow.engine.backend import LANGUAGE, LOCKS
 
 COLLISION = ("collide", "--material", "stainless_316", "--diameter", "25.4mm", "--velocity", "0.5", "--json")
 

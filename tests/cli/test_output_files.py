@@ -11,8 +11,8 @@ from scene_builders import build_scene, particle_group
 
 import granflow as gf
 from granflow.cli.main import main
-from granflow.io.atomic_files import replacing
-from granflow.io.row_file import RowFile
+from granflow.io.files import replacing
+from granflow.io.tables import RowFile
 
 
 @pytest.fixture(scope="module")

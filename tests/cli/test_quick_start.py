@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from granflow.cli import quick_start as module
-from granflow.cli.quick_start import quick_start
+from granflow.cli import process as module
+from granflow.cli.process import quick_start
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices of
 MAIN = "import sys; from granflow.cli import main; sys.exit(main())"
 OPTIONAL_OUTPUT = """
 import errno, sys
-from granflow.cli.streams import standard_streams
+from granflow.cli.process import standard_streams
 with standard_streams() as output:
     output.needed = False
     for line in range(1000):
@@ -48,7 +48,7 @@ def test_closed_pipe_ends_a_command_silently(arguments):
 
 
 def test_pipe_closed_after_the_first_line_ends_the_command():
-    program = "from granflow.cli.streams import standard_streams\nwith standard_streams(): print('x\\n' * 10**6)"
+    program = "from granflow.cli.process import standard_streams\nwith standard_streams(): print('x\\n' * 10**6)"
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout.read(2) == b"x\n"
     process.stdout.close()
@@ -71,7 +71,7 @@ def test_full_disk_is_reported_in_one_sentence():
 
 def test_streams_are_restored():
     program = (
-        "import sys, granflow.cli.streams as s\nbefore = sys.stdout, sys.stderr\n"
+        "import sys, granflow.cli.process as s\nbefore = sys.stdout, sys.stderr\n"
         "with s.standard_streams(): assert sys.stdout is sys.__stdout__ and sys.stdout is not before[0]; print('in')\n"
         "assert (sys.stdout, sys.stderr) == before == (sys.__stdout__, sys.__stderr__)\nprint('after')"
     )

@@ -12,8 +12,7 @@ from granflow.contact.law import ContactState, ModelRequest
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.registry import models
-from granflow.engine.force.pair_force import build_normal_force
-from granflow.engine.force.structs import build_constants, build_read_slots, build_slot_vector
+from granflow.engine.pair import build_constants, build_normal_force, build_read_slots, build_slot_vector
 from granflow.kernel_language import ti
 
 

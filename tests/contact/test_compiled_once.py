@@ -9,16 +9,13 @@ from contact.surface_paths import surface_kernel
 from contact.test_registry import RECORDS
 from subprocess_runner import in_subprocess
 
-from granflow.contact.law import ModelRequest
+from granflow.contact.law import Amount, ModelRequest, NormalLaw, RollingLaw, TangentialLaw, TwistingLaw
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.contact.normal.hertz import Hertz
 from granflow.contact.normal.zhou import Zhou
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.options import Amount
-from granflow.contact.surface_law import RollingLaw, TangentialLaw, TwistingLaw
 from granflow.engine import backend
-from granflow.engine.kernel_cache import KERNELS
+from granflow.engine.backend import CACHED_KERNELS as KERNELS
 
 
 def variants(model, number):

@@ -14,18 +14,14 @@ from resume.runs import files_of, states_of
 
 from granflow import SceneError, load_scene, register_contact_model
 from granflow.cli.main import main
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import HistoryField, ModelRequest
+from granflow.contact.law import Amount, CohesionLaw, ContactModel, HistoryField, ModelRequest, PairOption, RollingLaw
 from granflow.contact.laws import ContactLaws
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import Hertz
-from granflow.contact.options import Amount, PairOption
-from granflow.contact.surface_law import RollingLaw
 from granflow.device_functions import ti
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for
-from granflow.scene.jsonschema import json_schema
+from granflow.scene.reference import json_schema
 from granflow.scene.registration import unregister_contact_model
 from granflow.simulation import Simulation
 

@@ -7,10 +7,8 @@ import pytest
 from contact.test_external_models import Sticky
 
 from granflow import GranflowError, Scene, load_scene, register_contact_model
-from granflow.contact.model import ContactModel
+from granflow.contact.law import Amount, ContactModel, NormalLaw
 from granflow.contact.normal.hertz import Hertz
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.options import Amount
 from granflow.device_functions import ti
 from granflow.scene.registration import unregister_contact_model
 

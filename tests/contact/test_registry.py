@@ -4,9 +4,8 @@ import pytest
 from contact.cases import SHEAR_MODULUS
 
 from granflow.contact import registry
-from granflow.contact.law import ModelRequest
+from granflow.contact.law import SLOTS, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import SLOTS
 
 RECORDS = [model for slot in SLOTS for model in registry.models(slot).values()]
 

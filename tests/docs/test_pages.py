@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from granflow.cli.examples import scene_paths
 from granflow.cli.main import main
-from granflow.studies.calibration.run import read_calibration
-from granflow.studies.sweep.run import read_sweep
+from granflow.cli.run import scene_paths
+from granflow.studies.calibration.calibrate import read_calibration
+from granflow.studies.sweep.sweep import read_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"

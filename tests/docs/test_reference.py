@@ -13,10 +13,9 @@ from ruamel.yaml import YAML
 import granflow
 from granflow import fields
 from granflow.cli.main import build_parser
-from granflow.scene.reference import schema_keys
-from granflow.scene.reference.examples import PART_EXAMPLES, example_of
-from granflow.scene.reference.value_types import type_text
-from granflow.scene.schema.scene import SceneInput
+from granflow.scene import reference as schema_keys
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.reference import PART_EXAMPLES, example_of, type_text
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,11 +9,10 @@ from scene_builders import SOFT, build_scene, particle_group, run_to_end
 from subprocess_runner import each_in_subprocess
 
 from granflow.contact import theory
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
 from granflow.load import Scene
-from granflow.plan.adaptive_time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN
-from granflow.plan.time_step import choose_time_step
-from granflow.scene.schema.run import Numerics
+from granflow.plan.time_step import LEVELS_PER_DOUBLING, STEPS_BETWEEN_UPDATES, VELOCITY_MARGIN, choose_time_step
+from granflow.scene.blocks.run import Numerics
 from granflow.simulation import Simulation
 
 RADIUS = 0.005

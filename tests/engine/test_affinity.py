@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from granflow.engine.threads.affinity import WorkerAffinity, identify_threads, thread_seconds
+from granflow.engine.threads import WorkerAffinity, identify_threads, thread_seconds
 
 pytestmark = pytest.mark.skipif(not thread_seconds(), reason="needs the CPU time of threads, as on Linux")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1

@@ -20,7 +20,7 @@ from scene_builders import (
 from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.engine import backend
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
 from granflow.simulation import Simulation
 
 MORE_THAN_POOL = 4 * (os.cpu_count() or 1)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, prepared_simulation, run_to_end
 
-from granflow.engine import state_cache
-from granflow.engine.neighbor.cell_grid import build_grid_over
-from granflow.engine.neighbor.cells import BLOCK_SIDE
+from granflow.engine import engine as state_cache
+from granflow.engine.neighbor.sort import BLOCK_SIDE, build_grid_over
 from granflow.kernel_language import ti
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 from granflow.plan import capacities
 from granflow.plan import plan as plan_module
 from granflow.plan.build import plan_for

@@ -8,10 +8,10 @@ from scene_builders import box, build_scene, particle_group, plane, run_and_samp
 from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.engine import backend
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
 from granflow.errors import GranflowError, RunError
-from granflow.geometry.quaternion import matrices
-from granflow.particles.particle_data import ParticleData
+from granflow.geometry.clump import matrices
+from granflow.particles.group import ParticleData
 from granflow.simulation import Simulation
 
 FRICTION = {"friction": 0.4, "restitution": 0.4}

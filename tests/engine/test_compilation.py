@@ -5,8 +5,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from granflow.engine import compilation
+from granflow.engine import threads as workers
 from granflow.engine.backend import Backend
-from granflow.engine.threads import workers
 
 
 class Kernel:

@@ -9,8 +9,9 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine import field_block, state_cache
-from granflow.engine.kernel_cache import KERNELS
+from granflow.engine import engine as state_cache
+from granflow.engine import fields as field_block
+from granflow.engine.backend import CACHED_KERNELS as KERNELS
 from granflow.engine.state import FreedState
 from granflow.errors import GranflowError
 from granflow.simulation import Simulation

@@ -3,8 +3,7 @@
 import numpy as np
 from scene_builders import build_scene, particle_group, prepared_simulation
 
-from granflow.engine.contact_histories import HistoryTable, ListedHistories, joined_histories
-from granflow.engine.host_copy import append_particles, copy_to_host
+from granflow.engine.host import HistoryTable, ListedHistories, append_particles, copy_to_host, joined_histories
 
 WALL = -2
 

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from granflow.engine.accounting import Accounting, mechanical_energy
-from granflow.engine.ranks import OneProcess
-from granflow.engine.totals import energy_budget_totals
-from granflow.plan.chunk_sums import LOSSES
+from granflow.engine.state import OneProcess
+from granflow.engine.totals import Accounting, energy_budget_totals, mechanical_energy
+from granflow.plan.capacities import LOSSES
 
 ENERGIES = (7.0, 2.0, -4.0)
 """Kinetic, rotational and gravitational energy [J]."""

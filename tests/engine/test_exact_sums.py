@@ -8,12 +8,12 @@ from scene_builders import build_scene, particle_group, plane, run_to_end, vibra
 from sheared_scenes import sheared_gas
 from subprocess_runner import each_in_subprocess
 
-from granflow.engine.exact_sums import CARRY_BITS, build_to_grid, exact_sum, exact_totals
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
+from granflow.engine.sums import CARRY_BITS, build_to_grid, exact_sum, exact_totals
 from granflow.errors import RunError
 from granflow.kernel_language import ti
-from granflow.observers.interval import on_interval
-from granflow.plan import sum_units
+from granflow.observers.observer import on_interval
+from granflow.plan import capacities as sum_units
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

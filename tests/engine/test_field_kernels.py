@@ -6,7 +6,8 @@ import numpy as np
 from subprocess_runner import in_subprocess
 
 from granflow import start
-from granflow.engine import dispatch, field_kernels
+from granflow.engine import fields as dispatch
+from granflow.engine import fields as field_kernels
 from granflow.kernel_language import ti
 
 SHAPES = {"scalars": (20,), "rows": (4, 5)}

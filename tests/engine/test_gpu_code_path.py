@@ -12,9 +12,11 @@ import pytest
 from gpu.scenes import SCENES
 from subprocess_runner import in_subprocess
 
-from granflow.engine import backend, dispatch, gpu_stepper
-from granflow.engine.field_block import FieldBlock
-from granflow.engine.gpu_stepper import GPU_BATCH
+from granflow.engine import backend
+from granflow.engine import fields as dispatch
+from granflow.engine import stepper as gpu_stepper
+from granflow.engine.fields import FieldBlock
+from granflow.engine.stepper import GPU_BATCH
 from granflow.kernel_language import KERNELS
 from granflow.plan import plan as plan_module
 from granflow.plan.plan import Plan

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from granflow.engine import backend
-from granflow.engine.field_block import FieldBlock
-from granflow.engine.host_fields import memory_of
+from granflow.engine.fields import FieldBlock, memory_of
 from granflow.kernel_language import KERNELS, ti
 
 pytestmark = pytest.mark.skipif(KERNELS != "taichi", reason="views exist with Taichi only")

@@ -8,8 +8,8 @@ from scene_builders import build_scene, neighbors_of, particle_group, prepared_s
 from sheared_scenes import RATE, SIZE, sheared_gas
 from subprocess_runner import each_in_subprocess
 
-from granflow.engine.host_copy import copy_to_host
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
+from granflow.engine.host import copy_to_host
 
 IMAGE_VELOCITY = RATE * SIZE
 """Velocity of the image above, relative to its particle [m/s]."""

@@ -5,7 +5,7 @@ import pytest
 from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane, prepared_simulation
 
-from granflow.engine.limits import ABORT_REASONS, NO_PARTICLE
+from granflow.engine.codes import ABORT_REASONS, NO_PARTICLE
 from granflow.geometry.motion import ForceControlled
 from granflow.plan.capacities import REACH_STEPS
 from granflow.simulation import Simulation

@@ -9,7 +9,7 @@ from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import each_in_subprocess
 
 from granflow.errors import RunError
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
 FAULTY_ID = 2

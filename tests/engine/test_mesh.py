@@ -11,10 +11,10 @@ from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import each_in_subprocess
 
 from granflow.engine import backend
-from granflow.engine.mesh import from_nearest, may_own, triangle_contact
+from granflow.engine import threads as workers
 from granflow.engine.state import State
-from granflow.engine.threads import workers
-from granflow.geometry.mesh.contact import reference_contact, triangle_distances
+from granflow.engine.walls import from_nearest, may_own, triangle_contact
+from granflow.geometry.mesh import reference_contact, triangle_distances
 from granflow.geometry.shape import FAR_AWAY
 from granflow.io.checkpoint import read_checkpoint
 from granflow.kernel_language import ti

@@ -15,10 +15,10 @@ from scene_builders import (
 )
 from scipy.spatial import cKDTree
 
-from granflow.engine import state_cache
-from granflow.engine.host_copy import copy_to_host
+from granflow.engine import engine as state_cache
+from granflow.engine.host import copy_to_host
 from granflow.errors import RunError
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 from granflow.plan import plan as plan_module
 from granflow.simulation import Simulation
 

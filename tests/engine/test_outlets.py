@@ -9,9 +9,9 @@ from resume.runs import files_of, states_of
 from scene_builders import SOFT, build_scene, particle_group, run_to_end
 from subprocess_runner import each_in_subprocess
 
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
 from granflow.io.checkpoint import read_checkpoint
-from granflow.plan.outlets import outlet_of, planned_outlets
+from granflow.plan.parts import outlet_of, planned_outlets
 from granflow.simulation import Simulation
 
 MASSES = {diameter: pi / 6.0 * diameter**3 * SOFT["density"] for diameter in (0.004, 0.005)}

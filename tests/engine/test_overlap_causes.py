@@ -5,8 +5,7 @@ import re
 import pytest
 from scene_builders import build_scene, particle_group, plane
 
-from granflow.engine.abort_bodies import Body, ContactPair
-from granflow.engine.overlap_cause import overlap_cause
+from granflow.engine.abort import Body, ContactPair, overlap_cause
 from granflow.errors import RunError
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation

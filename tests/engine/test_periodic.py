@@ -16,7 +16,7 @@ from scene_builders import (
 from scipy.spatial import cKDTree
 
 from granflow.errors import SceneError
-from granflow.particles.generate import initial_particles
+from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
 
 GRAVITY = 9.81

@@ -8,7 +8,7 @@ import pytest
 from scene_builders import box, build_scene, particle_group
 
 from granflow.io.checkpoint import read_checkpoint
-from granflow.runs.servo_forces import off_target
+from granflow.runs.stages import off_target
 from granflow.simulation import Simulation
 
 RADIUS, TARGET = 0.005, 0.5

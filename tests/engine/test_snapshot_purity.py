@@ -5,7 +5,7 @@ import pytest
 from resume.runs import complex_scene, files_of, last_state
 from sheared_scenes import sheared_gas
 
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
 ALL = frozenset({"particles", "contacts", "walls", "totals"})

@@ -5,9 +5,8 @@ import pytest
 from scene_builders import box, build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine.accounting import Accounting, energy_input
-from granflow.engine.stability_monitor import StabilityMonitor
-from granflow.observers.interval import on_interval
+from granflow.engine.totals import Accounting, StabilityMonitor, energy_input
+from granflow.observers.observer import on_interval
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

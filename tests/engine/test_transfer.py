@@ -4,7 +4,7 @@ import numpy as np
 from geometry.meshes import sheet, write
 from scene_builders import build_scene, particle_group, plane
 
-from granflow.engine.transfer import renumbered, with_plan
+from granflow.engine.checkpoint import renumbered, with_plan
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

@@ -8,10 +8,10 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 from subprocess_runner import in_subprocess
 
-from granflow.engine.field_block import write_padded
+from granflow.engine.fields import write_padded
 from granflow.errors import RunError, SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.travel import STEP_SHARE
+from granflow.plan.time_step import STEP_SHARE
 from granflow.simulation import Simulation
 
 RADIUS, SHARE = 0.005, 0.2

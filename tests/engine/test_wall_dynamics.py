@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from subprocess_runner import each_in_subprocess, in_subprocess
 
 from granflow.contact import theory
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
 from granflow.errors import RunError, SceneError
 from granflow.io.checkpoint import read_checkpoint
 from granflow.plan.build import plan_for

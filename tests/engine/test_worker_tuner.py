@@ -2,7 +2,7 @@
 
 import pytest
 
-from granflow.engine.threads.worker_tuner import WorkerTuner
+from granflow.engine.threads import WorkerTuner
 
 LAUNCH = 0.05
 """Wall seconds of a launch."""

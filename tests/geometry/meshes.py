@@ -3,8 +3,8 @@
 import meshio
 import numpy as np
 
-from granflow.geometry.mesh.file import RawTriangles
-from granflow.geometry.mesh.mesh import mesh_of
+from granflow.geometry.mesh import mesh_of
+from granflow.geometry.mesh_file import RawTriangles
 
 
 def sheet(count, size=1.0, bumps=0.0, seed=1):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
-from granflow.geometry.clump_shape import clump_shape
-from granflow.geometry.quaternion import matrices, of_matrix, product, random_orientations
+from granflow.geometry.clump import clump_shape, matrices, of_matrix, product, random_orientations
 
 
 def shape_of(centers, radii):

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from geometry.meshes import cube, mesh, sheet, tube
 
-from granflow.geometry.mesh.contact import reference_contact, triangle_distances
-from granflow.geometry.mesh.file import STL_RECORD, read_triangles
-from granflow.geometry.mesh.grid import grid_over
+from granflow.geometry.mesh import grid_over, reference_contact, triangle_distances
+from granflow.geometry.mesh_file import STL_RECORD, read_triangles
 from granflow.geometry.motion import rotation_matrices
 from granflow.geometry.shape import FAR_AWAY
-from granflow.io.regular_files import FormatError
+from granflow.io.files import FormatError
 
 
 def contacts(surface, points):

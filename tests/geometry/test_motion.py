@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from granflow.geometry.catalog import reach_about
-from granflow.geometry.motion import Rotation, SurfaceVelocity, Translation, Vibration, pose
-from granflow.geometry.motion_speed import speed_bound
+from granflow.geometry.motion import Rotation, SurfaceVelocity, Translation, Vibration, pose, speed_bound
 from granflow.geometry.plane import half_space, rectangle
 from granflow.geometry.revolved import cylinder, disc
-from granflow.scene.jsonschema import json_schema
+from granflow.scene.reference import json_schema
 
 AXIS = (2 / 3, -1 / 3, 2 / 3)
 MOTIONS = [

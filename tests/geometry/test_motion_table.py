@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from granflow.geometry.motion import pose
-from granflow.geometry.motion_speed import speed_bound
-from granflow.geometry.motion_table import MotionTable, TableRotation, TableTranslation
+from granflow.geometry.motion import MotionTable, TableRotation, TableTranslation, pose, speed_bound
 
 TIMES, VALUES = (0.0, 0.2, 0.5, 0.6, 1.0), (0.3, 0.4, 0.4, 1.0, 0.1)
 RATES = (0.0, 2.0, 2.0, -1.0, 0.0)

@@ -5,9 +5,8 @@ import pytest
 from geometry.surfaces import on_device
 
 from granflow.geometry.plane import half_space
-from granflow.geometry.revolved import cone, cylinder, disc
+from granflow.geometry.revolved import cone, cylinder, disc, join_shared_edges
 from granflow.geometry.shape import FAR_AWAY
-from granflow.geometry.shared_edges import join_shared_edges
 
 REACH = 0.03
 """Distance [m] below which a point counts as a contact."""

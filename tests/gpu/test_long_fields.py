@@ -5,7 +5,7 @@ import pytest
 from subprocess_runner import in_subprocess
 
 from granflow import start
-from granflow.engine.field_kernels import read_field, write_field
+from granflow.engine.fields import read_field, write_field
 from granflow.kernel_language import ti
 
 pytestmark = pytest.mark.gpu

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from granflow.engine import backend
-from granflow.engine.vulkan_devices import VulkanDevice
+from granflow.engine.backend import VulkanDevice
 from granflow.errors import GranflowError
 
 LLVMPIPE = "llvmpipe (LLVM 15.0.6, 256 bits)"

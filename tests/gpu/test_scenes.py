@@ -14,8 +14,8 @@ from gpu.scenes import QUICK, SCENES, shaken_box
 from scene_builders import run_to_end
 from subprocess_runner import in_subprocess
 
-from granflow.engine import vulkan_devices
-from granflow.plan import sum_units
+from granflow.engine import backend as vulkan_devices
+from granflow.plan import capacities as sum_units
 
 pytestmark = pytest.mark.gpu
 

@@ -6,7 +6,7 @@ from threading import Barrier
 import numpy as np
 import pytest
 
-from granflow.parallel.balance import (
+from granflow.parallel.decomposition import (
     CONTACT_WEIGHT,
     PARTICLE_WEIGHT,
     LoadBalance,

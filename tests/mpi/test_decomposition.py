@@ -7,7 +7,7 @@ import pytest
 
 from granflow.geometry.periodic_box import ImageMotion, PeriodicBox
 from granflow.parallel.decomposition import bisected
-from granflow.parallel.ghosts import box_of, within
+from granflow.parallel.exchange import box_of, within
 
 
 class AllParticles:

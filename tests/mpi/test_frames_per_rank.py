@@ -11,11 +11,11 @@ from scene_builders import build_scene, moving_lattice, vibrating_box
 
 from granflow import read_run
 from granflow.errors import SceneError
+from granflow.io.files import FormatError
 from granflow.io.frames import FrameSeries
-from granflow.io.pvtu import Piece, piece_path, read_pvtu
-from granflow.io.regular_files import FormatError
+from granflow.io.rank_files import Piece, piece_path, read_pvtu
 from granflow.io.vtu import VtuMesh, write_vtu
-from granflow.particles.table import read_particles
+from granflow.particles.file import read_particles
 
 LARGEST = 2**20
 

@@ -6,8 +6,8 @@ import threading
 import numpy as np
 import pytest
 
-from granflow.io import background_writer
-from granflow.io.background_writer import BackgroundWriter
+from granflow.io import files as background_writer
+from granflow.io.files import BackgroundWriter
 from granflow.io.frames import FrameSeries
 from granflow.io.vtu import VtuMesh
 

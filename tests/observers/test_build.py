@@ -3,8 +3,8 @@
 from scene_builders import build_scene, particle_group, plane
 
 from granflow.observers.build import observers_for
+from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 from granflow.observers.timeseries import TimeSeries
-from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
 from granflow.plan.build import plan_for
 
 FLOOR = {"floor": plane([0.0] * 3, [0.0, 0.0, 1.0])}

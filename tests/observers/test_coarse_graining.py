@@ -8,10 +8,8 @@ from scipy.special import erf
 from scipy.stats import truncnorm
 
 from granflow.fields import FIELD_QUANTITIES
-from granflow.observers.coarse_graining.accumulation import accumulate, fields_from
-from granflow.observers.coarse_graining.field_frames import FieldFrames
-from granflow.observers.coarse_graining.field_grid import CoarseGrid
-from granflow.observers.coarse_graining.kernel import GaussianKernel
+from granflow.observers.coarse_graining import CoarseGrid, GaussianKernel, accumulate, fields_from
+from granflow.observers.frames import FieldFrames
 
 GRAVITY = 9.81
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from granflow.io.checkpoint import CheckpointError
-from granflow.observers.collision_energies import CollisionEnergies
-from granflow.runs.checkpoint_observers import check_observers
+from granflow.observers.timeseries import CollisionEnergies
+from granflow.runs.checkpoint_checks import check_observers
 from granflow.snapshot import Snapshot
 
 EDGES = np.array([1e-6, 1e-4])

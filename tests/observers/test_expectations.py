@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from granflow.runs.expectations import evaluate
+from granflow.runs.result import evaluate
 
 NUMBERS = {
     "mass_flow.outlet": 0.153,

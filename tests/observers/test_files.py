@@ -2,7 +2,7 @@
 
 import pytest
 
-from granflow.io.atomic_files import replacing, write_text
+from granflow.io.files import replacing, write_text
 
 
 def test_failed_write_keeps_the_old_file_and_no_temporary_file(tmp_path):

@@ -8,15 +8,24 @@ from observers.snapshots import contacts_of, particles_of, snapshot_of
 from scene_builders import build_scene, particle_group
 
 from granflow.fields import METRIC_QUANTITIES
-from granflow.observers.coarse_graining.field_grid import CoarseGrid
-from granflow.observers.metrics.build import metric_meters
-from granflow.observers.metrics.meter import MetricMeter
-from granflow.observers.metrics.mixing import dropped_share, lacey_index
-from granflow.observers.metrics.repose import slope_of_cone, slope_of_plane
-from granflow.observers.metrics.segregation import random_intensity, segregation_intensity
-from granflow.observers.metrics.structure import anisotropy, center_of_mass, coordination, fabric_tensor, sliding_share
+from granflow.observers.coarse_graining import CoarseGrid
+from granflow.observers.metrics import (
+    MetricMeter,
+    anisotropy,
+    center_of_mass,
+    coordination,
+    dropped_share,
+    fabric_tensor,
+    lacey_index,
+    metric_meters,
+    random_intensity,
+    segregation_intensity,
+    sliding_share,
+    slope_of_cone,
+    slope_of_plane,
+)
 from granflow.plan.build import plan_for
-from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
+from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
 from granflow.simulation import Simulation
 
 CUBE = CoarseGrid((0.0,) * 3, (1.0,) * 3, (5, 5, 5))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from observers.snapshots import particles_of, snapshot_of, turned
 
-from granflow.observers.vtu import ParticleFrames, WallFrames
+from granflow.observers.frames import ParticleFrames, WallFrames
 
 INTERVAL = 0.1
 FRAME_COUNT = 4

@@ -11,8 +11,7 @@ import pytest
 from rich.console import Console
 
 from granflow.io.log import run_log, write_scene_as_run
-from granflow.runs.expectations import ExpectationResult
-from granflow.runs.result import Result, closing_table, write_result
+from granflow.runs.result import ExpectationResult, Result, closing_table, write_result
 
 RESULT = Result(
     run={"simulated_time": 1.5, "step_count": np.int64(1_234_567)},

@@ -7,8 +7,7 @@ import pytest
 from observers.snapshots import snapshot_of
 
 from granflow.errors import GranflowError
-from granflow.observers.interval import on_interval
-from granflow.observers.schedule import Schedule
+from granflow.observers.observer import Schedule, on_interval
 
 
 @pytest.mark.parametrize("interval", [0.001, 0.01, 1 / 3, 7e-5])

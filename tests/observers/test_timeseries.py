@@ -10,9 +10,8 @@ from observers.snapshots import snapshot_of
 
 from granflow.io.tables import read_table, table_in, write_table
 from granflow.observers.flow_meters import FlowMeter
-from granflow.observers.metrics.meter import MetricMeter
-from granflow.observers.timeseries import TimeSeries
-from granflow.observers.wall_forces import WallForceMeter
+from granflow.observers.metrics import MetricMeter
+from granflow.observers.timeseries import TimeSeries, WallForceMeter
 
 
 def rows_of(path):

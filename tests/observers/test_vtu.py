@@ -13,10 +13,9 @@ import pytest
 from observers.snapshots import contacts_of, particles_of, snapshot_of, turned
 
 from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
-from granflow.io.frame_reader import is_empty
-from granflow.io.frames import TAIL, FrameSeries
+from granflow.io.frames import TAIL, FrameSeries, is_empty
 from granflow.io.vtu import VtuMesh, read_vtu, write_vtu
-from granflow.observers.vtu import ContactFrames, ParticleFrames, WallFrames
+from granflow.observers.frames import ContactFrames, ParticleFrames, WallFrames
 
 SQUARE = (np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 TRIANGLE = (np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([[0, 1, 2]]))

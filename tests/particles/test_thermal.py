@@ -6,8 +6,8 @@ from particles.scenes import BOX, scene_with
 from scipy.stats import kstest, maxwell
 
 from granflow.errors import SceneError
-from granflow.particles.generate import initial_particles
-from granflow.plan.max_impact_velocity import initial_speeds
+from granflow.particles.insertion import initial_particles
+from granflow.plan.limits import initial_speeds
 
 RMS = 0.3
 

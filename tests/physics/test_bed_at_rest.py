@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene_builders import box, build_scene, particle_group, plane
 
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 from granflow.simulation import Simulation
 
 DIAMETER = 0.01

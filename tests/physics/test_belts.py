@@ -8,8 +8,8 @@ from resume.test_bit_identity import resume_copy, run_to_end
 from scene_builders import SOFT, build_scene, particle_group, plane, run_and_sample
 
 from granflow.contact import theory
-from granflow.io.frame_reader import read_mesh
-from granflow.scene.schema.motions import SurfaceVelocity
+from granflow.io.frames import read_mesh
+from granflow.scene.blocks.walls import SurfaceVelocity
 from granflow.simulation import Simulation
 
 RADIUS, GRAVITY, FRICTION, SPEED = 0.005, 9.81, 0.2, 0.1

@@ -6,7 +6,7 @@ import pytest
 from geometry.meshes import cube, sheet, tube, write
 from scene_builders import build_scene, particle_group, plane, run_to_end
 
-from granflow.observers.interval import on_interval
+from granflow.observers.observer import on_interval
 
 TURNING = {"kind": "rotation", "point": [0.0, 0.6, 0.0], "axis": [0, 1, 0], "angular_velocity": 30.0}
 RISING = {"kind": "translation", "velocity": [0.0, 0.0, 0.2]}

@@ -57,7 +57,7 @@ def saved_scene(folder, text=FILE, **motion):
     scene = scene_on({"direction": [0, 0, 1], "times": [0, 1], "displacements": [0, 0]})
     given = scene.to_dict()
     given["walls"]["floor"]["motion"] = [{"kind": "table", "file": "lift.csv"} | (motion or {"direction": [0, 0, 1]})]
-    from granflow.scene.writer import to_yaml
+    from granflow.scene.blocks.scene import to_yaml
 
     path = folder / "scene.yaml"
     path.write_text(to_yaml(given))

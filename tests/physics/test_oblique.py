@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from granflow.studies.paper import oblique
-from granflow.studies.paper.oblique_figure import oblique_figure
+from granflow.studies.paper.oblique import oblique_figure
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,7 @@ def test_deviations_of_the_figure_are_within_their_targets(run, tmp_path):
     assert len(figure_data.deviations) == 10
     assert all(each.is_within_target and each.target == 1e-3 for each in figure_data.deviations)
     pytest.importorskip("matplotlib")
-    from granflow.studies.figures import draw_to
+    from granflow.studies.page import draw_to
 
     draw_to(tmp_path / "figure.png", lambda figure: figure_data.draw(figure, figure_data.columns), figure_data.height)
     assert (tmp_path / "figure.png").stat().st_size > 10000

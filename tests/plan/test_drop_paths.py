@@ -12,7 +12,7 @@ from scene_builders import build_scene, particle_group, plane
 
 from granflow import load_scene
 from granflow.plan.build import plan_for
-from granflow.plan.forecast.drop import forecast_velocity, path_velocity
+from granflow.plan.falls import forecast_velocity, path_velocity
 
 G = 9.81
 TOP, FLOOR = 0.6, -0.9

@@ -7,10 +7,10 @@ import pytest
 from plan.scenes import TEXT, scene_of
 from subprocess_runner import in_subprocess
 
+from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
 from granflow.plan.explain import WIDTH, duration, explain, feature_label, size
 from granflow.plan.features import Features
-from granflow.plan.memory_estimate import estimate_memory
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def allocated(directory, overrides, precision):
 
     from granflow.engine import backend
     from granflow.engine.state import State
-    from granflow.plan.device_arrays import sum_arrays
+    from granflow.plan.arrays import sum_arrays
 
     plan = plan_for(scene_of(Path(directory), *overrides))
     state = State(plan, backend.start("cpu", precision, 1))

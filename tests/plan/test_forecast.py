@@ -9,15 +9,12 @@ from plan.scenes import TEXT, scene_of
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import load_scene
-from granflow.cli.examples import scene_paths
+from granflow.cli.run import scene_paths
 from granflow.errors import SceneError
-from granflow.particles.generate import initial_particles
+from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
-from granflow.plan.forecast.advice import required_moduli
-from granflow.plan.forecast.contact import impact_overlap, impact_velocity
-from granflow.plan.forecast.initial_overlaps import refuse_initial_overlaps
-from granflow.plan.forecast.pairs import touching_pairs
-from granflow.plan.forecast.regions import particle_warnings
+from granflow.plan.forecast import particle_warnings, refuse_initial_overlaps
+from granflow.plan.overlaps import impact_overlap, impact_velocity, required_moduli, touching_pairs
 from granflow.plan.walls import surface_speed
 
 SCENES = list(scene_paths().values())

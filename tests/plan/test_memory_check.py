@@ -10,12 +10,11 @@ from plan.scenes import TEXT, line_of
 from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
-from granflow.engine import device_memory
-from granflow.engine.device_memory import free_device_memory
-from granflow.engine.vulkan_devices import VulkanDevice
+from granflow.engine import backend as device_memory
+from granflow.engine.backend import VulkanDevice, free_device_memory
 from granflow.errors import SceneError
 from granflow.load import load
-from granflow.plan import memory_check
+from granflow.plan import arrays as memory_check
 from granflow.plan.build import plan_for
 from granflow.simulation import Simulation
 

@@ -8,8 +8,8 @@ import pytest
 from geometry.meshes import cube, sheet, write
 
 from granflow.errors import SceneError
-from granflow.geometry.mesh.file import read_triangles
-from granflow.geometry.mesh.mesh import mesh_of
+from granflow.geometry.mesh import mesh_of
+from granflow.geometry.mesh_file import read_triangles
 from granflow.load import load
 from granflow.plan.build import plan_for
 from granflow.plan.explain import explain

@@ -6,7 +6,7 @@ from scene_builders import build_scene, particle_group
 
 from granflow.errors import SceneError
 from granflow.plan.build import plan_for
-from granflow.plan.resolution import coordinate_limit, spacing_at
+from granflow.plan.limits import coordinate_limit, spacing_at
 
 RADIUS = 0.005
 EDGE = 2.0**13

@@ -3,10 +3,9 @@
 import pytest
 from scene_builders import build_scene, particle_group
 
+from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
-from granflow.plan.explain import explain
-from granflow.plan.memory_estimate import estimate_memory
-from granflow.plan.roofline import GPUS, bytes_per_particle_step, particle_steps_per_second
+from granflow.plan.explain import GPUS, bytes_per_particle_step, explain, particle_steps_per_second
 
 
 def gas_plan(**pair):

@@ -14,7 +14,8 @@ import signal
 import sys
 import time
 
-from granflow.io import frames, row_file
+from granflow.io import frames
+from granflow.io import tables as row_file
 
 write_numbers = itertools.count(1)
 write_count = 0

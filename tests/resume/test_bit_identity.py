@@ -9,8 +9,8 @@ from scene_builders import DASHPOTS, LIQUID, SOFT, SPRINGS
 from sheared_scenes import sheared_gas
 from subprocess_runner import in_subprocess
 
-from granflow.engine.exact_sums import exact_totals
-from granflow.engine.threads import workers
+from granflow.engine import threads as workers
+from granflow.engine.sums import exact_totals
 from granflow.io.checkpoint import read_checkpoint
 from granflow.simulation import Simulation
 

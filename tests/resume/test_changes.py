@@ -12,9 +12,9 @@ from granflow.cli.main import main
 from granflow.errors import GranflowError, SceneError
 from granflow.io.checkpoint import newest_checkpoint
 from granflow.load import scene_of
-from granflow.particles.generate import initial_particles
+from granflow.particles.insertion import initial_particles
 from granflow.plan.build import plan_for
-from granflow.runs.initial_from_run import particles_from_run
+from granflow.runs.initial_particles import particles_from_run
 from granflow.runs.resume import accepted_change
 from granflow.scene.differences import differences, forbidden
 from granflow.simulation import Simulation

@@ -14,7 +14,6 @@ import granflow as gf
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.io import checkpoint as format_of
-from granflow.io.atomic_files import replacing
 from granflow.io.checkpoint import (
     CheckpointError,
     engine_digest,
@@ -23,10 +22,10 @@ from granflow.io.checkpoint import (
     remove_old_checkpoints,
     write_checkpoint,
 )
-from granflow.io.lock import locked
+from granflow.io.files import locked, replacing
 from granflow.runs import resume
-from granflow.runs.checkpoint_schedule import CheckpointWriter
-from granflow.scene.schema.output import Checkpoints
+from granflow.runs.run_directory import CheckpointWriter
+from granflow.scene.blocks.output import Checkpoints
 
 STATE = {
     "step": 7, "look": float("inf"), "fraction": 0.1 + 0.2,
@@ -118,7 +117,7 @@ def test_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
 
 
 def test_lock_is_exclusive_and_ends_with_its_process(tmp_path):
-    holder = "import sys, time; from pathlib import Path; from granflow.io.lock import locked\n"
+    holder = "import sys, time; from pathlib import Path; from granflow.io.files import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
     process = subprocess.Popen([sys.executable, "-c", holder, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:

@@ -44,7 +44,7 @@ def vibrated_bed():
 
 def run_and_sample(folder):
     """Time, mass, energy error, resident memory [kB], open files and particle count of each sample; step count."""
-    from granflow.observers.interval import on_interval
+    from granflow.observers.observer import on_interval
     from granflow.simulation import Simulation
 
     samples = []

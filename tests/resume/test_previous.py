@@ -13,10 +13,11 @@ from scene_builders import build_scene, particle_group
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError, OutputError, RunError
+from granflow.io import archive as checkpoint_file
 from granflow.io import checkpoint as format_of
-from granflow.io import checkpoint_file, frames
+from granflow.io import frames
 from granflow.io.checkpoint import write_checkpoint
-from granflow.runs.previous import replaced_run, restore_previous_run
+from granflow.runs.run_directory import replaced_run, restore_previous_run
 from granflow.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("taichi_f64")  # runs in this process
@@ -228,7 +229,7 @@ def test_from_start_ignores_checkpoints(stopped, monkeypatch):
         raise NotCreated
 
     monkeypatch.setitem(sys.modules, "granflow.simulation", types.SimpleNamespace(Simulation=simulation))
-    monkeypatch.setattr("granflow.cli.resume.scene_to_resume", lambda options, checkpoint: checkpoint)
+    monkeypatch.setattr("granflow.cli.run.scene_to_resume", lambda options, checkpoint: checkpoint)
     for flags in ([], ["--from-start"]):
         with pytest.raises(NotCreated):
             main(["resume", str(stopped), *flags])
@@ -243,7 +244,7 @@ def test_resume_restores_the_run_of_a_killed_replacement(out, capsys):
 
 
 def test_second_resume_is_rejected_before_reading_files(stopped, capsys):
-    holder = "import sys; from pathlib import Path; from granflow.io.lock import locked\n"
+    holder = "import sys; from pathlib import Path; from granflow.io.files import locked\n"
     holder += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", holder, str(stopped)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

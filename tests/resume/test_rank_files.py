@@ -7,15 +7,15 @@ import pytest
 from scene_builders import build_scene, moving_lattice, vibrating_box
 
 from granflow import Simulation
-from granflow.engine.saved_particles import host_particles
+from granflow.engine.engine import host_particles
 from granflow.io.checkpoint import CheckpointError, newest_checkpoint, read_checkpoint, remove_after, write_checkpoint
 from granflow.io.rank_files import RankFileWriter
-from granflow.parallel.checkpoint_share import share_of_checkpoint
+from granflow.parallel.rank_engine import share_of_checkpoint
 from granflow.plan.build import plan_for
-from granflow.runs.checkpoint_schedule import CheckpointWriter
-from granflow.runs.rank_checkpoint import rank_files_of
+from granflow.runs.checkpoint_checks import rank_files_of
 from granflow.runs.resume import accepted_change
-from granflow.scene.schema.output import Checkpoints
+from granflow.runs.run_directory import CheckpointWriter
+from granflow.scene.blocks.output import Checkpoints
 
 STEPS = 600
 

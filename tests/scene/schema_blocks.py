@@ -8,7 +8,7 @@ from fuzzing import SCENES, copied, written
 from hypothesis import strategies as st
 from hypothesis_jsonschema import from_schema
 
-from granflow.scene.jsonschema import json_schema
+from granflow.scene.reference import json_schema
 
 NUMBER_PATTERN = r"^\s*[-+]?"
 """Beginning of the pattern of numbers with a unit."""

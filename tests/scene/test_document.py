@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from granflow.scene.document import DocumentError
-from granflow.scene.yaml12 import parse
+from granflow.scene.document import DocumentError, parse
 
 SCALARS = [
     ("012", 12),

@@ -8,9 +8,7 @@ import pytest
 import granflow as gf
 from granflow.cli.main import main
 from granflow.contact import registry
-from granflow.scene.reference.key_paths import places_of
-from granflow.scene.reference.schema_keys import all_keys, keys, parts, places
-from granflow.scene.reference.terminal import reference_of
+from granflow.scene.reference import all_keys, keys, parts, places, places_of, reference_of
 
 
 def test_every_key_is_found_by_its_path():

@@ -7,10 +7,9 @@ import pytest
 
 from granflow.errors import SceneError
 from granflow.load import Scene, load
-from granflow.scene.jsonschema import json_schema
-from granflow.scene.schema.motions import Vibration
-from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.walls import Plane
+from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.walls import Plane, Vibration
+from granflow.scene.reference import json_schema
 
 GOOD = Path(__file__).parent.parent / "messages" / "good.yaml"
 ROOT = Path(__file__).parent.parent.parent

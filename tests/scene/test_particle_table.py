@@ -5,8 +5,8 @@ import pytest
 from observers.snapshots import particles_of, snapshot_of
 
 from granflow.errors import SceneError
-from granflow.observers.vtu import ParticleFrames
-from granflow.particles.table import MOST_SHOWN, read_particles
+from granflow.observers.frames import ParticleFrames
+from granflow.particles.file import MOST_SHOWN, read_particles
 
 POSITION = np.array([[0.1, -0.2, 0.3], [0.0, 1.5e-3, -4.0]])
 RADIUS = np.array([0.002, 0.0035])
@@ -96,7 +96,7 @@ def test_unreadable_files_are_rejected(tmp_path, monkeypatch):
     broken = written(tmp_path, "<VTKFile", "broken.vtu")
     with pytest.raises(SceneError, match="this file cannot be read as VTU"):
         read_particles(broken)
-    monkeypatch.setattr("granflow.particles.table.LARGEST_FILE", 10)
+    monkeypatch.setattr("granflow.particles.file.LARGEST_FILE", 10)
     with pytest.raises(SceneError, match="too large for a table"):
         read_particles(written(tmp_path, FORMATS["commas"]))
 

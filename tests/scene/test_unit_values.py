@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from granflow.scene.schema.units import DIMENSIONS, to_si
+from granflow.units import DIMENSIONS, to_si
 
 DEGREE = 0.017453292519943295  # pi / 180
 PER_MINUTE, PER_HOUR = 0.016666666666666666, 0.0002777777777777778  # 1 / 60, 1 / 3600

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from granflow.scene.schema.units import DIMENSIONS, UnitError, to_si
+from granflow.units import DIMENSIONS, UnitError, to_si
 
 GOOD = [
     ("4 mm", "length", 0.004),

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from granflow import Simulation, load_scene
-from granflow.cli.examples import scene_paths
+from granflow.cli.run import scene_paths
 
 SCENES = Path(__file__).parents[2] / "scenes"
 VERIFICATION = sorted((SCENES / "verification").glob("*.yaml"))

@@ -12,14 +12,28 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
-from granflow.studies.accuracy.axes import PHASES, STUDIED_LAWS, VELOCITIES
-from granflow.studies.accuracy.exact import EXACT
-from granflow.studies.accuracy.figures import draw_convergence, draw_quantities, draw_work
-from granflow.studies.accuracy.orders import fitted_order
-from granflow.studies.accuracy.points import StudyLine, StudyPoint, measured_line
-from granflow.studies.accuracy.recommend import recommendation, requirement_of, table_heads, table_rows
-from granflow.studies.accuracy.report import TwoBodyStudy, write_two_bodies
-from granflow.studies.figures import Drawing
+from granflow.studies.accuracy.report import (
+    TwoBodyStudy,
+    draw_convergence,
+    draw_quantities,
+    draw_work,
+    recommendation,
+    requirement_of,
+    table_heads,
+    table_rows,
+    write_two_bodies,
+)
+from granflow.studies.accuracy.two_particles import (
+    EXACT,
+    PHASES,
+    STUDIED_LAWS,
+    VELOCITIES,
+    StudyLine,
+    StudyPoint,
+    fitted_order,
+    measured_line,
+)
+from granflow.studies.page import Drawing
 
 FEW_STEPS = (20, 40, 80, 160, 320)
 K, MASS, SPEED = 4e5, 2e-4, 0.7

@@ -9,26 +9,28 @@ import pytest
 
 from granflow.errors import GranflowError, SceneError
 from granflow.load import load
-from granflow.particles.generate import initial_particles
-from granflow.studies.accuracy import scene_runs
-from granflow.studies.accuracy.scene_points import ENERGY_ERROR, SIGMAS, _Runs, _study, measure_scene
-from granflow.studies.accuracy.scene_report import (
-    noise_sentence,
-    scene_heads,
-    scene_recommendation,
-    scene_rows,
-    write_scene,
-)
-from granflow.studies.accuracy.scene_runs import (
+from granflow.particles.insertion import initial_particles
+from granflow.studies.accuracy import scene as scene_runs
+from granflow.studies.accuracy.scene import (
+    ENERGY_ERROR,
     SAMPLES,
+    SIGMAS,
     STEP_FAMILIES,
     KeptRuns,
     RunOutcome,
     SceneTask,
+    _Runs,
+    _study,
+    measure_scene,
+    noise_sentence,
     phase_of,
     reduced_counts,
     restitution_error,
     run_task,
+    scene_heads,
+    scene_recommendation,
+    scene_rows,
+    write_scene,
 )
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"

@@ -12,12 +12,22 @@ import pytest
 from studies.sweep_files import SCENE
 
 from granflow.errors import FileError, GranflowError, OutputError
-from granflow.studies.calibration.response import fit_response
+from granflow.studies import run_process as run_worker
+from granflow.studies.calibration.calibrate import read_calibration, run_calibration
 from granflow.studies.calibration.results import _best_target, result_of
-from granflow.studies.calibration.run import read_calibration, run_calibration
 from granflow.studies.calibration.schema import Parameter, Target
-from granflow.studies.calibration.search import JOURNAL, Search, deviation_in_units, from_unit, settings_of, to_unit
-from granflow.studies.calibration.targets import (
+from granflow.studies.calibration.search import (
+    JOURNAL,
+    Search,
+    deviation_in_units,
+    fit_response,
+    from_unit,
+    settings_of,
+    to_unit,
+)
+from granflow.studies.calibration.trials import (
+    TrialRunner,
+    _missing_reason,
     deviation,
     given_text,
     partial_loss,
@@ -25,10 +35,7 @@ from granflow.studies.calibration.targets import (
     residuals,
     standard_errors,
 )
-from granflow.studies.calibration.trials import TrialRunner, _missing_reason
-from granflow.studies.run_processes import run_worker
-from granflow.studies.run_processes.checked import RunSettings
-from granflow.studies.run_processes.quantities import error_name
+from granflow.studies.run_process import RunSettings, error_name
 
 CALIBRATION = """\
 scenes: {pair: {scene: spheres.yaml}}

@@ -5,8 +5,8 @@ import pytest
 
 from granflow.contact.registry import models
 from granflow.errors import GranflowError
+from granflow.studies.bench import CollisionBench
 from granflow.studies.collide import collide
-from granflow.studies.collision_bench import CollisionBench
 
 STEEL = {"material": "stainless_316", "diameter": 0.0254, "velocity": 0.5}
 

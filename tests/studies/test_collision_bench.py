@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from granflow import GranflowError
-from granflow.geometry.sphere import sphere_mass
+from granflow.geometry.shape import sphere_mass
+from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.collide import collide
-from granflow.studies.collision_bench import Collision, CollisionBench
 
 SOLID = {"young_modulus": 1e8, "poisson_ratio": 0.25, "density": 2500.0}
 PAIRS = {"soft-soft": 0.5, "soft-heavy": 0.7, "heavy-heavy": 0.9}

@@ -16,11 +16,9 @@ from granflow.errors import GranflowError
 from granflow.studies.compare import report as reporting
 from granflow.studies.compare import runs
 from granflow.studies.compare.collisions import subject_of
-from granflow.studies.compare.paraview import write_script
-from granflow.studies.compare.report import compare, notes_on
-from granflow.studies.compare.soft_spring import soft_spring_note
-from granflow.studies.compare.summary import densest_stage, heads
-from granflow.studies.compare.variants import law_names, variants_of
+from granflow.studies.compare.report import compare, heads, notes_on, write_script
+from granflow.studies.compare.runs import densest_stage, law_names, variants_of
+from granflow.studies.compare.springs import soft_spring_note
 
 DIAMETER, SPEED = 0.01, 1.0
 REFERENCE = 0.1 * SPEED
@@ -191,8 +189,8 @@ def test_paraview_script_accepts_any_title(tmp_path):
 
 def test_matplotlib_figures_are_written(found, tmp_path):
     pytest.importorskip("matplotlib")
-    from granflow.studies.compare.drawing import drawings
-    from granflow.studies.figures import write_figures
+    from granflow.studies.compare.report import drawings
+    from granflow.studies.page import write_figures
 
     assert not write_figures(tmp_path, drawings(found[0].runs, None, {}))
     assert {path.name for path in tmp_path.iterdir()} == {"course.png", "energies.png", "contacts.png"}
@@ -200,7 +198,7 @@ def test_matplotlib_figures_are_written(found, tmp_path):
 
 def test_figures_are_legible_on_a_narrow_screen(found):
     pytest.importorskip("matplotlib")
-    from granflow.studies.compare.drawing import drawings
+    from granflow.studies.compare.report import drawings
 
     for drawing in drawings(found[0].runs, None, {}).values():
         size, columns = smallest_letters(drawing)
@@ -212,7 +210,7 @@ def test_page_has_no_empty_distribution_of_forces(found):
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 
-    from granflow.studies.compare.drawing import draw_contacts
+    from granflow.studies.compare.report import draw_contacts
 
     figure = Figure()
     draw_contacts(figure, found[0].runs)

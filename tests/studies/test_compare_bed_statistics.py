@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 
 from granflow.snapshot import Snapshot
-from granflow.studies.compare.bed_statistics import FORCE_EDGES, BedHeights, ContactBursts, ForceHistogram
-from granflow.studies.compare.contact_durations import ContactFollower, FollowedContacts, bursts, median_of, survival
+from granflow.studies.compare.runs import (
+    FORCE_EDGES,
+    BedHeights,
+    ContactBursts,
+    ContactFollower,
+    FollowedContacts,
+    ForceHistogram,
+    bursts,
+    median_of,
+    survival,
+)
 
 
 def snapshot(time, pairs=(), forces=None, stage="run", particles=None, branches=None):

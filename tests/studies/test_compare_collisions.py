@@ -5,8 +5,8 @@ import pytest
 from studies.test_compare import MASS_EFF, SPEED, duration, head_on, overlap_max, spring
 
 from granflow.studies.compare.collisions import subject_of, sweep_columns, sweeps_of
-from granflow.studies.compare.spring_assessment import assess_collisions
-from granflow.studies.compare.variants import variants_of
+from granflow.studies.compare.runs import variants_of
+from granflow.studies.compare.springs import assess_collisions
 
 REFERENCE = 0.1 * SPEED
 FLOOR = 0.01 * SPEED
@@ -51,8 +51,8 @@ def test_the_assessment_follows_from_the_columns(columns):
 
 def test_collisions_are_drawn(columns, tmp_path):
     pytest.importorskip("matplotlib")
-    from granflow.studies.compare.drawing import draw_collisions
-    from granflow.studies.figures import draw_to
+    from granflow.studies.compare.report import draw_collisions
+    from granflow.studies.page import draw_to
 
     subject = subject_of(head_on(), REFERENCE)
     draw_to(tmp_path / "a.png", lambda figure: draw_collisions(figure, subject, columns, []), 5.0)

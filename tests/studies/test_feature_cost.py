@@ -9,9 +9,9 @@ from subprocess_runner import in_subprocess
 
 from granflow.cli.main import main
 from granflow.load import load
+from granflow.plan.arrays import estimate_memory
 from granflow.plan.build import plan_for
-from granflow.plan.memory_estimate import estimate_memory
-from granflow.studies.feature_cost.variants import variants_of
+from granflow.studies.feature_cost import variants_of
 
 TEXT = """\
 title: Beads on a floor
@@ -124,8 +124,8 @@ def test_particle_size_is_no_feature(tmp_path):
 
 def measured(directory):
     """Result of a short run of the study, and the initial particle positions of every variant."""
-    from granflow.studies.feature_cost import measure
-    from granflow.studies.feature_cost.report import cost_rows, write_feature_costs
+    from granflow.studies import feature_cost as measure
+    from granflow.studies.feature_cost import cost_rows, write_feature_costs
 
     path = Path(directory) / "beads.yaml"
     path.write_text(TEXT)

@@ -9,8 +9,7 @@ from granflow.cli.main import main
 from granflow.contact.material import VelocityRestitution
 from granflow.errors import FileError, GranflowError
 from granflow.load import load
-from granflow.studies.fit import fit, limit_from_materials
-from granflow.studies.measurements import Measurements, read_measurements
+from granflow.studies.fit import Measurements, fit, limit_from_materials, read_measurements
 
 STEEL = VelocityRestitution(3.0432, 0.540, 340.3)
 SOFT = VelocityRestitution(1.2, 0.8, 12.0)

@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import binom, ncf
 from scipy.stats import f as f_distribution
 
-from granflow.studies.calibration.identification import Effects, effects, identification
-from granflow.studies.calibration.response import LEVEL, Response
+from granflow.studies.calibration.results import Effects, effects, identification
+from granflow.studies.calibration.search import LEVEL, Response
 
 NAMES = ["friction", "rolling_friction", "restitution"]
 

@@ -5,10 +5,23 @@ import pytest
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from granflow.studies.head_on import collide_all
-from granflow.studies.paper import accuracy, comparison, loops, residual, velocity
-from granflow.studies.paper.cases import PAPER_CASES, small_soft_case
-from granflow.studies.paper.thornton import thornton_restitution
+from granflow.studies.bench import collide_all
+from granflow.studies.paper import (
+    comparison,
+)
+from granflow.studies.paper import (
+    figures as accuracy,
+)
+from granflow.studies.paper import (
+    figures as loops,
+)
+from granflow.studies.paper import (
+    figures as residual,
+)
+from granflow.studies.paper import (
+    figures as velocity,
+)
+from granflow.studies.paper.figures import PAPER_CASES, small_soft_case, thornton_restitution
 
 RESTITUTIONS = np.array([0.1, 0.2, 0.5, 0.7, 0.9, 1.0])
 SPEEDS = np.array([0.01, 0.3, 10.0])
@@ -120,7 +133,7 @@ def test_force_overlap_loops_match_equation_4(taichi_f64):
     figure_data = loops.loop_figure(outcomes)
     duration = 200 * outcomes.time_step  # of each collision; those of e = 0 have the largest spheres
     rounding = rounding_of_forces(loops.CASE, loops.CASE.diameter_lasting(duration, 0.0, loops.VELOCITY))
-    for index, e in enumerate(loops.RESTITUTIONS):
+    for index, e in enumerate(loops.LOOP_RESTITUTIONS):
         of_case = figure_data.columns["restitution"] == e
         share, force = figure_data.columns["overlap_over_max"][of_case], figure_data.columns["force_over_max"][of_case]
         rising = np.arange(len(share)) <= np.argmax(share)

@@ -8,11 +8,8 @@ import pytest
 
 from granflow.cli.main import main
 from granflow.errors import GranflowError
-from granflow.io.collision_energies import COLUMNS
-from granflow.io.time_series import read_series
-from granflow.studies.plot.curves import panels_of
-from granflow.studies.plot.expression import quantity_of
-from granflow.studies.plot.source import series_of
+from granflow.io.tables import COLUMNS, read_series
+from granflow.studies.plot import panels_of, quantity_of, series_of
 
 HEAD = (
     "time [s],stage,wall_pressure.lid [Pa],wall_displacement.lid [m],wall_force_x.lid [N],wall_force_z.lid [N],"

@@ -15,21 +15,18 @@ from studies.test_page import BalanceParser
 
 from granflow import read_run
 from granflow.cli.main import main
-from granflow.io.log_reader import explanation, read_log, sessions, warnings_and_errors
-from granflow.io.time_series import SeriesColumn, TimeSeriesTable, read_series
+from granflow.io.log import explanation, read_log, sessions, warnings_and_errors
+from granflow.io.tables import SeriesColumn, TimeSeriesTable, read_series
 from granflow.io.vtu import VtuMesh, write_vtu
-from granflow.observers.vtu import ParticleFrames
+from granflow.observers.frames import ParticleFrames
 from granflow.studies.page import environment, page_text
 from granflow.studies.render.frames import frames_of
-from granflow.studies.report import pictures as pictures_module
-from granflow.studies.report import sections as report_sections
-from granflow.studies.report import topics as report_topics
-from granflow.studies.report.field_grids import field_content
-from granflow.studies.report.pictures import _caption, course_pictures, pictures_for
-from granflow.studies.report.plots import plot_of
-from granflow.studies.report.report import report_text
-from granflow.studies.report.series import MOST_POINTS, groups_of, thinned
-from granflow.studies.report.topics import table_of
+from granflow.studies.report import report as report_sections
+from granflow.studies.report import report as report_topics
+from granflow.studies.report import view as pictures_module
+from granflow.studies.report.plots import MOST_POINTS, groups_of, plot_of, thinned
+from granflow.studies.report.report import field_content, report_text, table_of
+from granflow.studies.report.view import _caption, course_pictures, pictures_for
 
 HEAD = "time [s],stage,particle_count,kinetic_energy [J],elastic_energy [J],overlap_mean,overlap_largest,idle [N],"
 HEAD += "flow_mass.a [kg],mass_flow.a [kg/s],force_z.floor [N],force_z.lid [N],temperature [K]\n"

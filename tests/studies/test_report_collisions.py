@@ -5,11 +5,10 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import read_run
-from granflow.observers.collision_energies import CollisionEnergies
+from granflow.observers.timeseries import CollisionEnergies
 from granflow.simulation import Simulation
 from granflow.snapshot import Snapshot
-from granflow.studies.report.collisions import collision_topics
-from granflow.studies.report.report import report_text
+from granflow.studies.report.report import collision_topics, report_text
 
 
 def snapshot(time, particle, wall):

@@ -12,13 +12,11 @@ from observers.snapshots import particles_of, snapshot_of
 
 from granflow import read_run
 from granflow.io.vtu import VtuMesh, write_vtu
-from granflow.observers.vtu import ParticleFrames
+from granflow.observers.frames import ParticleFrames
 from granflow.studies.render.frames import FrameWalls, frames_of, read_particles
 from granflow.studies.report import view as view_module
-from granflow.studies.report.packed import PackedArrays
 from granflow.studies.report.report import report_text
-from granflow.studies.report.view import _wall_headers, interactive_view
-from granflow.studies.report.wall_geometry import geometry_of
+from granflow.studies.report.view import PackedArrays, _wall_headers, geometry_of, interactive_view
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])

@@ -10,10 +10,18 @@ from pathlib import Path
 import pytest
 from studies.sweep_files import SCENE
 
-from granflow.studies.run_processes import run_worker
-from granflow.studies.run_processes.outcome import ABORTED, CRASHED, DONE, MISSED, REFUSED
-from granflow.studies.run_processes.process import RunRequest, execute
-from granflow.studies.run_processes.run_worker import close_workers, worker
+from granflow.studies import run_process as run_worker
+from granflow.studies.run_process import (
+    ABORTED,
+    CRASHED,
+    DONE,
+    MISSED,
+    REFUSED,
+    RunRequest,
+    close_workers,
+    execute,
+    worker,
+)
 
 
 @pytest.fixture(autouse=True)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from granflow.studies.calibration.run import read_calibration
+from granflow.studies.calibration.calibrate import read_calibration
 from granflow.studies.calibration.search import settings_of
-from granflow.studies.run_processes.checked import CheckedRun, RunSettings, checked_run
-from granflow.studies.sweep.run import checked_points, read_sweep
+from granflow.studies.run_process import CheckedRun, RunSettings, checked_run
+from granflow.studies.sweep.sweep import checked_points, read_sweep
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SWEEPS, CALIBRATIONS = (sorted((SCENES / folder).glob("*.yaml")) for folder in ("sweeps", "calibration"))

@@ -13,12 +13,19 @@ import pytest
 from granflow.cli.main import main
 from granflow.errors import GranflowError
 from granflow.simulation import Simulation
-from granflow.studies.stability import bed_cases, report
-from granflow.studies.stability.case_families import all_cases
-from granflow.studies.stability.cases import CaseResult, StabilityCase, run_case
-from granflow.studies.stability.pair_cases import ParticlePair, rebound, rebound_result
+from granflow.studies.stability import cases as bed_cases
+from granflow.studies.stability import report
+from granflow.studies.stability.cases import (
+    CaseResult,
+    ParticlePair,
+    StabilityCase,
+    all_cases,
+    rebound,
+    rebound_result,
+    run_case,
+)
+from granflow.studies.stability.report import run_cases
 from granflow.studies.stability.time_step_bounds import POISSON, real_bounds
-from granflow.studies.stability.worker_pool import run_cases
 
 
 def case_of(work, column="the column"):

@@ -7,7 +7,7 @@ from studies.test_sweep import problems_of, settings, sweep_of
 
 from granflow.errors import FileError
 from granflow.studies.sweep.design import design_points
-from granflow.studies.sweep.run import checked_points, read_sweep
+from granflow.studies.sweep.sweep import checked_points, read_sweep
 
 
 @pytest.mark.parametrize(

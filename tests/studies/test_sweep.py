@@ -12,23 +12,22 @@ from studies.sweep_files import SCENE, SWEEP, write_sweep
 from granflow.cli.main import main
 from granflow.errors import FileError, GranflowError
 from granflow.io.checkpoint import write_checkpoint
-from granflow.studies.run_processes.checked import CheckedRun, RunSettings
-from granflow.studies.run_processes.driver import Driver
-from granflow.studies.run_processes.executors import local_jobs
-from granflow.studies.run_processes.outcome import (
+from granflow.studies.run_pool import Driver, local_jobs
+from granflow.studies.run_process import (
     ABORTED,
     CRASHED,
     DONE,
     MISSED,
     REFUSED,
+    CheckedRun,
     Outcome,
+    RunRequest,
+    RunSettings,
     final_outcome,
     write_outcome,
 )
-from granflow.studies.run_processes.process import RunRequest
-from granflow.studies.sweep.design import design_points, unit_samples
-from granflow.studies.sweep.run import checked_points, read_sweep
-from granflow.studies.sweep.schema import LatinHypercube, SobolSampling, SweepInput
+from granflow.studies.sweep.design import LatinHypercube, SobolSampling, SweepInput, design_points, unit_samples
+from granflow.studies.sweep.sweep import checked_points, read_sweep
 from granflow.studies.sweep.table import table_of, write_tables
 
 
@@ -384,7 +383,7 @@ def test_invalid_requests_have_a_message_and_exit_code_2(tmp_path, monkeypatch, 
 
 def test_batch_system_that_is_not_installed_is_refused(tmp_path, monkeypatch):
     pytest.importorskip("dask_jobqueue")
-    from granflow.studies.run_processes.cluster import BatchProfile, batch_cluster
+    from granflow.studies.run_pool import BatchProfile, batch_cluster
 
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(GranflowError, match="--slurm requires the command sbatch, which this machine does not have"):
@@ -394,7 +393,7 @@ def test_batch_system_that_is_not_installed_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize("system", ["slurm", "pbs", "lsf", "sge"])
 def test_batch_profile_gives_a_job_script(system, tmp_path):
     dask_jobqueue = pytest.importorskip("dask_jobqueue")
-    from granflow.studies.run_processes.cluster import SYSTEMS, cluster_options, read_profile
+    from granflow.studies.run_pool import SYSTEMS, cluster_options, read_profile
 
     path = tmp_path / "profile.yaml"
     path.write_text(

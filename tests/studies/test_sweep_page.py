@@ -12,18 +12,23 @@ import pytest
 from studies.test_calibration import runner
 from studies.test_sweep import run
 
-from granflow.studies.calibration.page import write_calibration_page
+from granflow.studies.calibration.calibrate import write_calibration_page
 from granflow.studies.calibration.results import result_of, write_result
-from granflow.studies.run_processes.outcome import ABORTED, Outcome, final_outcome, write_outcome
-from granflow.studies.sweep.axes import short_names
-from granflow.studies.sweep.design import design_points
-from granflow.studies.sweep.page import with_error, write_sweep_page
-from granflow.studies.sweep.plots import heat_maps, in_lines, main_effects, parallel_coordinates, scatter_matrix
-from granflow.studies.sweep.schema import SweepInput
-from granflow.studies.sweep.sensitivity import sobol_indices
-from granflow.studies.sweep.series_overlay import NamedRun, series_overlay
-from granflow.studies.sweep.shown import shown
-from granflow.studies.sweep.table import table_of
+from granflow.studies.run_process import ABORTED, Outcome, final_outcome, write_outcome
+from granflow.studies.sweep.design import SweepInput, design_points
+from granflow.studies.sweep.page import (
+    NamedRun,
+    heat_maps,
+    in_lines,
+    main_effects,
+    parallel_coordinates,
+    scatter_matrix,
+    series_overlay,
+    sobol_indices,
+    with_error,
+    write_sweep_page,
+)
+from granflow.studies.sweep.table import short_names, shown, table_of
 
 
 def ishigami(x, y, z):

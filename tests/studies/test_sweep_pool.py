@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from studies.sweep_files import SWEEP, write_sweep
 
-from granflow.studies.run_processes import run_worker
-from granflow.studies.run_processes.executors import Workers
-from granflow.studies.sweep.run import read_sweep, run_sweep
+from granflow.studies import run_process as run_worker
+from granflow.studies.run_pool import Workers
+from granflow.studies.sweep.sweep import read_sweep, run_sweep
 
 STATUSES = ["done"] * 3 + ["aborted"] + ["expectation missed"] * 3 + ["aborted"] + ["refused"] * 4
 
@@ -152,7 +152,7 @@ def test_a_full_disk_is_reported_in_one_sentence_and_the_sweep_continues(sweep, 
 
 def test_run_waits_for_a_process_that_still_writes_into_its_directory(sweep, tmp_path):
     """A lost worker may leave its run behind: the run is not started twice, its result is used."""
-    from granflow.io.lock import locked
+    from granflow.io.files import locked
 
     out = tmp_path / "out"
     run_sweep(sweep, out, Workers(jobs=1))
@@ -310,7 +310,7 @@ def test_workers_of_dask_give_the_same_table(sweep, tmp_path):
 def test_unreachable_scheduler_is_refused(sweep, tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     from granflow.errors import GranflowError
-    from granflow.studies.run_processes import executors
+    from granflow.studies import run_pool as executors
 
     monkeypatch.setattr(executors, "CONNECT_TIMEOUT", 0.5)
     with pytest.raises(GranflowError, match="The scheduler tcp://127.0.0.1:9 does not answer"):

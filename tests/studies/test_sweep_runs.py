@@ -10,7 +10,7 @@ import time
 import pytest
 from studies.sweep_files import SCENE, SWEEP, write_sweep
 
-from granflow.io.lock import locked
+from granflow.io.files import locked
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3000)]
 

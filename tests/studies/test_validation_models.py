@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from granflow.contact import theory as theory_of_granflow
-from granflow.plan import pair_cases
+from granflow.plan import pairs as pair_cases
 from granflow.studies.validation import at_rest, collisions, rheology, rolling_models
 from granflow.studies.validation import theory_of_collisions as theory
 from granflow.studies.validation.theory_of_collisions import Pair, Partner

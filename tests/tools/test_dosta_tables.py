@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from granflow import load_scene
-from granflow.particles.generate import initial_particles
+from granflow.particles.insertion import initial_particles
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 REFERENCE = Path(os.environ.get("GRANFLOW_REFERENCE", TOOLS.parent.parent / "shared" / "reference")) / "dosta2024"

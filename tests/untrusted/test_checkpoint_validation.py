@@ -10,16 +10,10 @@ import pytest
 from scene_builders import build_scene, particle_group, plane
 
 from granflow import Simulation
-from granflow.io.checkpoint import (
-    FORMAT,
-    CheckpointError,
-    newest_checkpoint,
-    read_checkpoint,
-    write_checkpoint,
-)
-from granflow.io.checkpoint_file import CHECKSUM_PLACEHOLDER
+from granflow.io.archive import CHECKSUM_PLACEHOLDER
+from granflow.io.checkpoint import FORMAT, CheckpointError, newest_checkpoint, read_checkpoint, write_checkpoint
+from granflow.plan.arrays import particle_arrays, saved_arrays
 from granflow.plan.build import plan_for
-from granflow.plan.device_arrays import particle_arrays, saved_arrays
 from granflow.runs.resume import accepted_change
 
 

@@ -12,14 +12,14 @@ import meshio
 import numpy as np
 import pytest
 
+from granflow.cli.arguments import say
 from granflow.cli.main import main
-from granflow.cli.messages import say
 from granflow.errors import SceneError
-from granflow.geometry.mesh.file import read_triangles
+from granflow.geometry.mesh_file import read_triangles
+from granflow.io.files import FormatError, open_regular, read_regular, resolved
 from granflow.io.log import run_log
-from granflow.io.regular_files import FormatError, open_regular, read_regular, resolved
 from granflow.io.vtu import read_vtu
-from granflow.particles.table import read_particles
+from granflow.particles.file import read_particles
 from granflow.visible_text import visible
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
@@ -257,9 +257,9 @@ from pathlib import Path
 import numpy as np
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 from granflow.errors import GranflowError
-from granflow.io.regular_files import FormatError
-from granflow.particles.table import read_particles
-from granflow.geometry.mesh.file import read_triangles
+from granflow.io.files import FormatError
+from granflow.particles.file import read_particles
+from granflow.geometry.mesh_file import read_triangles
 random, folder = np.random.default_rng(5), Path(sys.argv[1])
 for path in sorted(folder.iterdir()):
     whole = path.read_bytes()

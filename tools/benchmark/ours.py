@@ -122,8 +122,7 @@ def measure_on_ranks(
     """As `measure`, on the ranks of mpirun with one thread each; None on all but the root. `threads` has no effect."""
     from granflow.engine.backend import start
     from granflow.parallel.communicator import Communicator
-    from granflow.parallel.rank_engine import RankEngine
-    from granflow.parallel.serve import controlling, serve
+    from granflow.parallel.rank_engine import RankEngine, controlling, serve
     from granflow.plan.build import plan_for
 
     case, communicator = Case.load(Path(path)), Communicator()

@@ -8,7 +8,7 @@ from typing import Any
 
 import granflow
 from docsite.markdown import anchor
-from granflow.scene.schema.fields import Model
+from granflow.scene.model import Model
 
 INTRODUCTION = """\
 # Python interface
@@ -48,20 +48,28 @@ GROUPS: Mapping[str, Sequence[str]] = {
 """Names of the first page by topic; names without a topic follow."""
 PARTS: Mapping[str, Mapping[str, Sequence[str]]] = {
     "Parts of a simulation": {
-        "granflow.live.particles": ("LiveParticles",),
-        "granflow.live.particle_array": ("ParticleArray",),
+        "granflow.live.particles": ("LiveParticles", "ParticleArray"),
         "granflow.live.walls": ("LiveWalls", "LiveWall"),
         "granflow.live.forces": ("Forces", "ForceParameters"),
         "granflow.runs.observer_list": ("ObserverList",),
         "granflow.snapshot": ("WallPose",),
     },
     "Contact models of your own": {
-        "granflow.contact.model": ("ContactModel",),
-        "granflow.contact.options": ("Amount", "Choice", "PairOption"),
-        "granflow.contact.law": ("Law", "HistoryField", "ModelRequest"),
-        "granflow.contact.normal_law": ("NormalLaw",),
-        "granflow.contact.cohesion_law": ("CohesionLaw",),
-        "granflow.contact.surface_law": ("TangentialLaw", "RollingLaw", "TwistingLaw", "TorqueLaw"),
+        "granflow.contact.law": (
+            "ContactModel",
+            "Amount",
+            "Choice",
+            "PairOption",
+            "Law",
+            "HistoryField",
+            "ModelRequest",
+            "NormalLaw",
+            "CohesionLaw",
+            "TangentialLaw",
+            "RollingLaw",
+            "TwistingLaw",
+            "TorqueLaw",
+        ),
         "granflow.contact.material": ("PairMaterial",),
     },
 }

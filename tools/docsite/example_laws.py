@@ -3,7 +3,7 @@
 from typing import Any
 
 from granflow.contact import registry
-from granflow.contact.law import Law, ModelRequest
+from granflow.contact.law import Law, ModelRequest, NormalLaw
 from granflow.contact.material import (
     PairMaterial,
     Solid,
@@ -12,8 +12,7 @@ from granflow.contact.material import (
     modulus_eff,
     shear_modulus_eff,
 )
-from granflow.contact.normal_law import NormalLaw
-from granflow.scene.schema.presets import PRESETS
+from granflow.scene.blocks.materials import PRESETS
 
 STEEL = PRESETS["stainless_316"]
 SOLID = Solid(STEEL.young_modulus, STEEL.poisson_ratio, STEEL.density, STEEL.yield_strength)

@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from scene_table import expected_and_run, stored_results
 
 from docsite.markdown import code, table
-from granflow.cli.examples import scene_paths
+from granflow.cli.run import scene_paths
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES, PICTURES = ROOT / "scenes", ROOT / "docs" / "pages" / "gallery"

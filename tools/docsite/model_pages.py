@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from docsite.example_laws import example_law
 from docsite.markdown import code, table
 from granflow.contact import registry
-from granflow.contact.model import SLOTS, ContactModel
-from granflow.contact.options import Amount, Option
+from granflow.contact.law import SLOTS, Amount, ContactModel, Option
 
 PICTURES = {
     "normal": "Restitution and contact duration versus impact velocity. Lines: closed forms (durations of hertz and "

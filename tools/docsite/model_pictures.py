@@ -10,9 +10,8 @@ import numpy as np
 
 from docsite.example_laws import ADHESION, LARGEST_VELOCITY, example_pair, fitted_pair, normal_law, pair, two_spheres
 from granflow.contact import registry, theory
-from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.law import ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.normal_law import NormalLaw
 from granflow.contact.rolling.bounded_torque import STOPPED_SHARE
 from granflow.contact.rolling.sds import Sds
 from granflow.contact.tangential.spring import reference_spring

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Mapping
 from docsite.markdown import code, table
 from granflow import fields
 from granflow.fields import FieldSpec, Quantity
-from granflow.scene.reference.schema_keys import si_unit
-from granflow.scene.schema.analysis import METRIC_QUANTITIES_BY_KIND
-from granflow.scene.schema.presets import PRESETS
-from granflow.scene.schema.units import DIMENSIONS
+from granflow.scene.blocks.materials import PRESETS
+from granflow.scene.blocks.output import METRIC_QUANTITIES_BY_KIND
+from granflow.scene.reference import si_unit
+from granflow.units import DIMENSIONS
 
 CSV = """\
 # Columns of timeseries.csv

@@ -4,9 +4,18 @@ from collections.abc import Iterator
 from typing import Any
 
 from docsite.markdown import anchor, code, table
-from granflow.scene.reference.examples import example_of
-from granflow.scene.reference.schema_keys import ROOT, Key, keys, parts, places, variant
-from granflow.scene.reference.value_types import first_key, range_text, type_text
+from granflow.scene.reference import (
+    ROOT,
+    Key,
+    example_of,
+    first_key,
+    keys,
+    parts,
+    places,
+    range_text,
+    type_text,
+    variant,
+)
 
 INTRODUCTION = """\
 # Scene keys

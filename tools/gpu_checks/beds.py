@@ -47,7 +47,7 @@ def engine_for(
     """Engine with a bed before the first step, forces computed; velocities (n, 3) [m/s], or at rest."""
     from granflow.engine.backend import start
     from granflow.engine.engine import Engine
-    from granflow.particles.particle_data import ParticleData
+    from granflow.particles.group import ParticleData
 
     backend = start(arch, precision)  # type: ignore[arg-type]
     plan = plan_of(case, precision, not backend.on_cpu)

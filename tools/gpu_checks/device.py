@@ -38,7 +38,7 @@ def _host_memory() -> dict[str, Any]:
 
 
 def _query_vulkan() -> dict[str, Any]:
-    from granflow.engine.vulkan_devices import used_device, vulkan_devices
+    from granflow.engine.backend import used_device, vulkan_devices
 
     device = used_device(vulkan_devices())
     if device is None:
@@ -74,7 +74,7 @@ def _gpu_bandwidth(count: int) -> dict[str, float]:
     """Bandwidth with coalesced access: neighboring threads access neighboring elements; `count` is a power of 2."""
     from benchmark import limits
 
-    from granflow.engine.dispatch import thread_count
+    from granflow.engine.fields import thread_count
     from granflow.kernel_language import ti
 
     threads = thread_count(count)

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import ContactState, HistoryField
+from granflow.contact.law import CohesionLaw, ContactState, HistoryField
 from granflow.device_functions import ti
 
 

@@ -5,7 +5,7 @@ The films of both particles give a part to the bridge that forms (Shi & McCarthy
     L_i = V_i / 2 [1 - sqrt(1 - R_j^2 / (R_i + R_j)^2)]
 
 Force and rupture distance follow the volume of the bridge, see `capillary_bridge`. The engine moves the liquid, see
-`granflow.engine.force.liquid_transfer`; `form` gets the volume from it.
+`granflow.engine.liquid`; `form` gets the volume from it.
 """
 
 import math
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.contact.cohesion.capillary_bridge import (
+from granflow.contact.cohesion.capillary import (
     CONTACT_ANGLE,
     SOURCE,
     SURFACE_TENSION,
@@ -22,12 +22,9 @@ from granflow.contact.cohesion.capillary_bridge import (
     reference_attraction,
     rupture_factor,
 )
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.device import power
+from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount
-from granflow.contact.power import power
 from granflow.device_functions import ti
 
 

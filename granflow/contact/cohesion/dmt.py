@@ -4,11 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import ContactState
+from granflow.contact.law import WORK_OF_ADHESION, CohesionLaw, ContactModel, ContactState
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import WORK_OF_ADHESION
 from granflow.device_functions import ti
 
 

@@ -19,11 +19,9 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.cohesion.bond import BondLaw
-from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.device import power
+from granflow.contact.law import WORK_OF_ADHESION, ContactModel, ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import WORK_OF_ADHESION
-from granflow.contact.power import power
 from granflow.device_functions import ti
 
 SNAP_OFF = 0.75 * 0.25 ** (1.0 / 3.0)

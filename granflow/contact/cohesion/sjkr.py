@@ -9,10 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import ContactState
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount, PairOption
+from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, PairOption
 from granflow.device_functions import ti
 
 

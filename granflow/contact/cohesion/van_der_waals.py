@@ -4,11 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from granflow.contact import theory
-from granflow.contact.cohesion_law import CohesionLaw
-from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.law import Amount, CohesionLaw, ContactModel, ContactState, ModelRequest, PairOption
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount, PairOption
 from granflow.device_functions import ti
 
 CUTOFF = 30.0

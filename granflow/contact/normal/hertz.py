@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.device import build_step_mean, reference_step_mean
+from granflow.contact.law import ContactModel, ContactState, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import ti
 
 DAMPING_POWER = 0.25

@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from functools import cache
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, ModelRequest
+from granflow.contact.device import build_step_mean, power, reference_step_mean
+from granflow.contact.law import Amount, ContactModel, ContactState, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
 from granflow.contact.normal.hertz import HertzSpring
-from granflow.contact.options import Amount
-from granflow.contact.power import power
-from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import ti
 
 DAMPING_POWER = 0.5

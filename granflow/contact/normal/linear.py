@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.device import build_step_mean, reference_step_mean
+from granflow.contact.law import ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
-from granflow.contact.substep_corrections import build_step_mean, reference_step_mean
 from granflow.device_functions import ti
 
 _step_mean = build_step_mean(0.0)

@@ -12,12 +12,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from granflow.contact import theory
-from granflow.contact.collision import ClosedFormCollision
-from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.law import Amount, ContactModel, ContactState, HistoryField, ModelRequest, NormalLaw
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.options import Amount
+from granflow.contact.spring import ClosedFormCollision
 from granflow.device_functions import ti
 
 

@@ -4,10 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.law import ContactState, HistoryField, ModelRequest
+from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount, Choice
 from granflow.contact.spring import STIFFNESS, Spring, SpringLaw, quarter_period
 from granflow.device_functions import ti
 

@@ -7,34 +7,386 @@ F = min(k d^1.5, unloading curve for dmax).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Literal
 
 import numpy as np
 
 from granflow.contact import theory
-from granflow.contact.law import ContactState, HistoryField, ModelRequest
-from granflow.contact.material import PairMaterial, VelocityRestitution
-from granflow.contact.model import ContactModel
-from granflow.contact.normal_law import NormalLaw
-from granflow.contact.options import Amount, Choice
-from granflow.contact.substep_corrections import build_step_mean, turning_point
-from granflow.contact.zhou_inelastic import HISTORY, SUPPORT_MODES, inelastic_force, inelastic_pair, is_inelastic
-from granflow.contact.zhou_reference import DAMPING_POWER, RestitutionAt, reference_contact
-from granflow.contact.zhou_unloading import (
-    least_restitution,
-    recovery_of,
-    reloading_force,
-    restitution_at,
-    unloading_energy,
-    unloading_force,
+from granflow.contact.device import (
+    build_step_mean,
+    exponential,
+    mean_above,
+    power,
+    reference_mean_above,
+    reference_step_mean,
+    reference_turning_point,
+    turning_point,
 )
+from granflow.contact.law import Amount, Choice, ContactModel, ContactState, HistoryField, ModelRequest, NormalLaw
+from granflow.contact.material import PairMaterial, VelocityRestitution
 from granflow.device_functions import ti
+
+# Contacts of the restitution 0 (Zhou 2011, Eq. 4 for e -> 0), where unloading is vertical; not from the
+# paper.
+#
+# In the limit a contact yields along k d^1.5 while its overlap d increases, and at d = dmax carries any
+# force between 0 and k dmax^1.5 without moving: the force that the other forces W on the pair require, M
+# d'' = W - F = 0. A contact is in one of three states:
+#
+#     yielding    F = min(k d^1.5, G),  G: force that stops the approach within this step, until it is the smaller one
+#     stopping    F = G, as long as the force exceeds the load of the pair
+#     supporting  F = P + K (d - dmax) + c d' >= 0, until it exceeds k d^1.5
+#
+# The forces on the pair follow from its deceleration over the last step, D = M (d'(t - dt) - d'(t))/dt, as
+# W = F(t - dt) - D. The contact stops the pair where the velocity would change its sign at this
+# deceleration, with
+#
+#     G = P + (F(t - dt) - P) M d'/(D dt) >= 0,     P = max(2 W - F(t - dt), 0)
+#
+# In an impact the contact itself decelerates the pair, alone (W = 0), or together with others that stop at
+# the same time (W < F/2): P is 0 and the velocity exactly 0 after this step, whatever the time step.
+# Contacts that load each other more strongly, as those of a particle in an acute wedge, stop within some
+# steps, with a rebound of first order in the time step. Under a load that changes slowly D is small, P = W,
+# and the contact keeps its force: a bed that is loaded slowly has the overlaps of Hertz contacts.
+#
+# The support replaces the vertical line by one of the slope K, which passes through (dmax, P), with
+#
+#     K = max(0.1 M/dt^2, 1.5 k sqrt(dmax)),     c = (1 - K dt^2/M) M/(4 dt)
+#
+# It is never softer than the loading curve; its displacement under a load is of second order in the time
+# step. A densely packed bed, 4 (K dt^2/M + 2 c dt/M) < 4, is stable. A pair that separates from the
+# support, but not from the overlap, finds the line at dmax with P = 0, and is stopped there without rebound
+# as in an impact.
+#
+# All work of the force is lost. The contact accumulates it, mean of the forces at both ends of the step
+# times the change of the overlap, which is the change of the kinetic energy in the leapfrog scheme.
+
+SUPPORT_NUMBER = 0.1
+"""Smallest K dt^2/M of the support."""
+SUPPORT_DAMPING = 0.25
+"""c dt/M of the support for K dt^2/M -> 0."""
+SUPPORT_MODES = SUPPORT_NUMBER + 2.0 * SUPPORT_DAMPING * (1.0 - SUPPORT_NUMBER)
+"""K dt^2/M + 2 c dt/M of the support: times the number of contacts that act on a mode, at most 4."""
+YIELDING, STOPPING, SUPPORTING = 0.0, 1.0, 2.0
+"""States of a contact, in the history field `recovery`."""
+HISTORY = (
+    HistoryField("support", "force of the support at the maximum overlap", "N"),
+    HistoryField("force_before", "normal force one step before", "N"),
+    HistoryField("rate_before", "overlap rate one step before", "m/s"),
+    HistoryField("work", "work on the contact", "J"),
+)
+"""Further history of contacts in a scene with a pair of the restitution 0."""
+
+
+def is_inelastic(pair: PairMaterial) -> bool:
+    """Whether the restitution of a pair is the number 0."""
+    return pair.restitution == 0.0
+
+
+@ti.func
+def inelastic_pair(constants):
+    """Device form of `is_inelastic`: a pair with e(v) has a limit velocity, and the constant restitution 0."""
+    return constants.restitution + constants.limit_velocity == 0.0
+
+
+@ti.func
+def stopping_force(mass_rate, rate, capacity, history):
+    """G [N], the load P [N] that remains, and whether the force exceeds the load W of the pair.
+
+    G is `capacity` where an approaching pair does not decelerate.
+
+    mass_rate:  M/dt [kg/s]
+    rate:       overlap rate at the half step [m/s]
+    capacity:   k d^1.5 [N]
+    """
+    change = history.rate_before - rate
+    decelerates = (change > 0.0) & (history.force_before > 0.0)
+    load = ti.min(ti.max(history.force_before - 2.0 * mass_rate * change, 0.0), history.force_before)
+    share = rate / ti.select(decelerates, change, 1.0)
+    stopping = ti.max(load + share * (history.force_before - load), 0.0)
+    force = ti.select(decelerates, stopping, ti.select(rate > 0.0, capacity, load))
+    begins = history.overlap_max == 0.0
+    return ti.select(begins, mass_rate * ti.max(rate, 0.0), force), load, decelerates
+
+
+@ti.func
+def inelastic_force(contact, k, rate, history):
+    """Force [N] and history of an inelastic pair; `recovery` is its state: YIELDING, STOPPING or SUPPORTING.
+
+    k:     Hertz stiffness [N/m^1.5]
+    rate:  overlap rate at the half step [m/s]
+    """
+    overlap, mass_rate = contact.overlap, contact.mass_eff / contact.time_step
+    largest = ti.max(overlap, history.overlap_max)
+    capacity = k * ti.sqrt(largest) * largest
+    stopping, load, decelerates = stopping_force(mass_rate, rate, capacity, history)
+    yields = history.recovery == YIELDING
+    stops = (history.recovery == STOPPING) & decelerates
+
+    number = ti.max(1.5 * k * ti.sqrt(largest) * (contact.time_step / mass_rate), SUPPORT_NUMBER)
+    stiffness = number * (mass_rate / contact.time_step)
+    line = history.support + stiffness * (overlap - history.overlap_max)
+    damping = SUPPORT_DAMPING * ti.max(1.0 - number, 0.0) * mass_rate
+    held = ti.select(line > 0.0, ti.max(line + damping * rate, 0.0), 0.0)
+    separates = (line <= 0.0) & (overlap < history.overlap_max)
+    arrives = decelerates & (load == 0.0) & (history.support == 0.0)  # at the end of the line, and without load
+    lands = arrives & (stopping < history.force_before) & ~stops
+
+    trial = ti.select(yields | stops | lands, stopping, held)
+    force = ti.min(trial, capacity)
+    reloads = ~(stops | lands) & (trial >= capacity) & (overlap >= history.overlap_max)
+    state = ti.select(stops, STOPPING, ti.select(reloads, YIELDING, SUPPORTING))
+    state = ti.select(yields, ti.select(trial < capacity, STOPPING, YIELDING), state)
+
+    history_new = history
+    history_new.recovery = state
+    history_new.overlap_max = ti.select(yields | (state == YIELDING), largest, history.overlap_max)
+    anchored = stiffness * (history_new.overlap_max - overlap)
+    support = ti.select(lands, anchored, ti.select(separates, 0.0, history.support))
+    history_new.support = ti.select(yields | stops, load + anchored, support)
+    travel = contact.time_step * ti.select(history.overlap_max == 0.0, ti.max(rate, 0.0), rate)
+    history_new.work += 0.5 * (force + history.force_before) * travel
+    history_new.force_before = force
+    history_new.rate_before = rate
+    return force, history_new
+
+
+def reference_inelastic(contact: ContactState, k: float, rate: float) -> tuple[float, dict[str, float]]:
+    """Reference implementation of `inelastic_force` in numpy: force [N] and changed history fields."""
+    before: SimpleNamespace = contact.history
+    mass, time_step, overlap = contact.mass_eff, contact.time_step, contact.overlap
+    mass_rate, change = mass / time_step, before.rate_before - rate
+    deceleration = mass_rate * change
+    load = float(np.clip(before.force_before - 2.0 * deceleration, 0.0, before.force_before))
+    if before.overlap_max == 0.0:
+        stopping = mass_rate * max(rate, 0.0)
+    elif deceleration > 0.0 and before.force_before > 0.0:
+        stopping = max(load + rate / change * (before.force_before - load), 0.0)
+    else:
+        stopping = np.inf if rate > 0.0 else load
+    largest = max(overlap, before.overlap_max)
+    hertz = k * np.sqrt(largest) * largest
+    number = max(1.5 * k * np.sqrt(largest) * (time_step / mass_rate), SUPPORT_NUMBER)
+    stiffness = number * (mass_rate / time_step)
+    force, state, largest_new = min(stopping, hertz), STOPPING, before.overlap_max
+    if before.recovery == YIELDING:
+        state, largest_new = STOPPING if stopping < hertz else YIELDING, largest
+        support = load + stiffness * (largest - overlap)
+    elif before.recovery == STOPPING and deceleration > 0.0 and before.force_before > 0.0:
+        support = load + stiffness * (largest_new - overlap)
+    else:
+        depth = overlap - before.overlap_max
+        elastic = before.support + stiffness * depth
+        if 0.0 == before.support == load and deceleration > 0.0 and stopping < before.force_before:
+            state, support = SUPPORTING, -stiffness * depth
+        else:
+            viscous = SUPPORT_DAMPING * max(1.0 - number, 0.0) * mass_rate * rate
+            force = min(max(elastic + viscous, 0.0), hertz) if elastic > 0.0 else 0.0
+            if force < hertz or depth < 0.0:
+                state, support = SUPPORTING, 0.0 if elastic <= 0.0 and depth < 0.0 else before.support
+            else:
+                state, support, largest_new = YIELDING, before.support, largest
+    travel = time_step * (max(rate, 0.0) if before.overlap_max == 0.0 else rate)
+    return force, {
+        "overlap_max": largest_new,
+        "restitution": 0.0,
+        "recovery": state,
+        "support": support,
+        "force_before": force,
+        "rate_before": rate,
+        "work": before.work + 0.5 * (force + before.force_before) * travel,
+    }
+
+
+# Unloading curve of Zhou (2011) and its parameters as device functions; `theory` contains their host forms.
+
+REST_SPEED = 0.1
+"""Velocity over the impact velocity of the maximum overlap at which rest damping is halved."""
+NEWTON_STEPS = 5
+"""Newton iterations from y = (4/5) e^2: five reach float64 precision for every e, four leave 25 ulps at e = 1."""
+
+
+@ti.func
+def restitution_at(constants, velocity):
+    """Restitution coefficient at an approach velocity [m/s] (Zhou 2011, Eq. 12).
+
+        e(v) = exp(-sigma (v / (vlim - v))^psi)      v < vlim, else 0
+
+    A pair with a constant restitution has the limit velocity 0.
+    """
+    limit = constants.limit_velocity
+    e = constants.restitution
+    if limit > 0.0:
+        e = 0.0
+        if velocity <= 0.0:
+            e = 1.0
+        elif velocity < limit:
+            e = exponential(-constants.sigma * power(velocity / (limit - velocity), constants.psi))
+    return e
+
+
+@ti.func
+def recovery_of(e):
+    """Recovered fraction y of the maximum overlap (Zhou 2011, Eq. 8), by NEWTON_STEPS Newton iterations.
+
+    y = (4/5) e^2 + (1/5) e^3 y^2.5
+    """
+    first = 0.8 * e * e
+    share = 0.2 * e * e * e
+    y = first
+    for _ in range(NEWTON_STEPS):  # not unrolled: several kernels contain it several times, and compile it slowly
+        root = y * ti.sqrt(y)
+        y -= (y - first - share * y * root) / (1.0 - 2.5 * share * root)
+    return y
+
+
+@ti.func
+def least_restitution(k, mass, overlap_max, time_step, angle):
+    """Smallest restitution at this time step: unloading tangent <= angle^2 M / dt^2; not from the paper.
+
+    Device form of `theory.least_restitution`.
+    """
+    return ti.sqrt(1.25 * k * ti.sqrt(overlap_max) / mass) * time_step / angle
+
+
+@ti.func
+def unloading_force(stiffness, radius, overlap_max, e, y, overlap, rate, time_step):
+    """Force on the unloading branch [N], zero below the residual overlap, and its tangent [N/m].
+
+        F = lam (d - ds) + e^3 k (d - ds)^1.5        d > ds        (Zhou 2011, Eq. 4)
+
+    with k = stiffness sqrt(radius), stiffness = (4/3) E, and d - ds averaged over the step, in which the particles may
+    separate. Up to 1/e^2 steeper than loading; limited by the time step as e -> 0.
+    """
+    above = mean_above(overlap - overlap_max * (1.0 - y), rate, time_step)
+    cube = e * e * e
+    slope = ti.sqrt(radius * overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+    hertz = cube * ti.sqrt(radius * above)
+    return stiffness * above * (slope + hertz), stiffness * (slope + 1.5 * hertz)
+
+
+@ti.func
+def reloading_damping(contact, tangent, loading_energy):
+    """Damping c [N s/m] of a contact that reloads, for the damping ratio 1, and its stiffness number; not in the paper.
+
+        c = 2 sqrt(K M) (1 - n) / (1 + (d' / (s v))^2),      n = K dt^2/M < 1, else 0
+
+    with s = REST_SPEED. The first factor preserves the stability limit of dense packings, 4 n + 4 c dt/M <= 4,
+    for damping ratios up to 1/2: the damping acts on approach only, in half of the steps of the fastest mode. The
+    second one restricts the damping to vibrations that are slow compared with the impact velocity v that causes the
+    maximum overlap (Zhou 2011, Eq. 5): 1 % of it remains in impacts of several particles.
+
+    tangent:         K [N/m], that of unloading
+    loading_energy:  M v^2 / 2 [J]
+    """
+    mass, rate = contact.mass_eff, contact.overlap_rate
+    stiffness_number = tangent * contact.time_step * (contact.time_step / mass)
+    slow = loading_energy / (loading_energy + mass * rate * rate * (0.5 / REST_SPEED**2))
+    return 2.0 * ti.sqrt(tangent * mass) * ti.max(1.0 - stiffness_number, 0.0) * slow, stiffness_number
+
+
+@ti.func
+def reloading_force(constants, contact, overlap_max, tangent):
+    """Viscous force of a contact that reloads [N], for the ratio `rest_damping`, and the part of it without loss [N].
+
+    tangent:  K [N/m], that of unloading
+
+    The loss is booked with `overlap_rate`, half a step before the force. The mean over the step is smaller by half of
+    the damping number and, in a vibration about equilibrium, by the share K dt^2/(4 M).
+    """
+    stiffness, rate = 4.0 / 3.0 * constants.modulus_eff, contact.overlap_rate
+    loading_energy = 0.4 * stiffness * ti.sqrt(contact.radius_eff * overlap_max) * overlap_max * overlap_max
+    damping, stiffness_number = reloading_damping(contact, tangent, loading_energy)
+    damping *= constants.rest_damping
+    late = 0.5 * damping * (contact.time_step / contact.mass_eff) + 0.25 * stiffness_number
+    return damping * rate, damping * rate * late
+
+
+@ti.func
+def unloading_energy(k, overlap_max, e, y, overlap):
+    """Energy recovered by unloading from an overlap [J]: lam u^2/2 + (2/5) e^3 k u^2.5, u = d - ds."""
+    energy = 0.0 * k
+    above = overlap - overlap_max * (1.0 - y)
+    if above > 0.0:
+        cube = e * e * e
+        slope = ti.sqrt(overlap_max) * (1.0 - cube * y * ti.sqrt(y)) / y
+        energy = k * above * above * (0.5 * slope + 0.4 * cube * ti.sqrt(above))
+    return energy
+
+
+# Reference implementation of the Zhou model in numpy; `normal.zhou` contains its device form.
+
+RestitutionAt = Literal["impact", "max_overlap", "constant"]
+DAMPING_POWER = 0.25
+"""Exponent of the overlap in the viscous force."""
+
+
+def reference_contact(
+    contact: ContactState, restitution_at: RestitutionAt, angle: float, damping_ratio: float, reloading_ratio: float
+) -> tuple[float, Mapping[str, float]]:
+    """Normal force [N] and changed history fields of one contact, in float64.
+
+    `angle`, `damping_ratio`, `reloading_ratio`: as in `normal.zhou.Zhou`
+    """
+    overlap, rate, constants, history = contact.overlap, contact.overlap_rate, contact.constants, contact.history
+    k = float(theory.hertz_stiffness(constants.modulus_eff, contact.radius_eff))
+    largest, e, y = history.overlap_max, history.restitution, history.recovery
+    if constants.restitution == constants.limit_velocity == 0.0:
+        if damping_ratio > 0.0:
+            rate += 0.5 * contact.time_step * history.force_before / contact.mass_eff
+        return reference_inelastic(contact, k, rate)
+    if restitution_at != "max_overlap" and largest == 0.0:
+        e = _restitution(constants, rate)
+    viscous = 0.0
+    if overlap >= largest:
+        elastic, largest, y = k * overlap**1.5, overlap, 0.0
+    else:
+        if y == 0.0:
+            largest, e, y = _unloading_start(contact, k, restitution_at, angle, damping_ratio > 0.0)
+        above = reference_mean_above(overlap - largest * (1.0 - y), rate, contact.time_step)
+        lam = k * np.sqrt(largest) * float(theory.unloading_slope(e))
+        elastic = lam * above + e**3 * k * above**1.5
+        if elastic > 0.0 and constants.restitution < 1.0:
+            tangent = lam + 1.5 * e**3 * k * np.sqrt(above)
+            share = max(1.0 - tangent * contact.time_step**2 / contact.mass_eff, 0.0)
+            share /= 1.0 + max(rate, 0.0) ** 2 * contact.mass_eff / (0.8 * k * largest**2.5 * REST_SPEED**2)
+            viscous = 2.0 * reloading_ratio * share * np.sqrt(tangent * contact.mass_eff) * max(rate, 0.0)
+    if elastic > 0.0 and damping_ratio > 0.0:
+        root = reference_step_mean(DAMPING_POWER, overlap, rate, contact.time_step)
+        viscous += 2.0 * damping_ratio * np.sqrt(1.5 * k * contact.mass_eff) * root * rate
+    total = float(max(elastic + viscous, 0.0))
+    return total, {"overlap_max": largest, "restitution": e, "recovery": y}
+
+
+def _unloading_start(
+    contact: ContactState, k: float, restitution_at: RestitutionAt, angle: float, is_damped: bool
+) -> tuple[float, float, float]:
+    """Maximum overlap [m], restitution and recovery at the start of unloading."""
+    largest, mass, time_step = contact.history.overlap_max, contact.mass_eff, contact.time_step
+    force, rate, e = k * largest**1.5, contact.overlap_rate, contact.history.restitution
+    if is_damped:
+        rate += 0.5 * time_step * force / mass
+    largest = reference_turning_point(largest, force, mass, time_step, rate)
+    if restitution_at == "max_overlap":
+        e = _restitution(contact.constants, np.sqrt(0.8 * k * largest**2.5 / mass))
+    least = float(theory.least_restitution(k, mass, largest, time_step, angle))
+    e = min(max(e, least), 1.0)
+    return largest, e, float(theory.recovery(e))
+
+
+def _restitution(constants: SimpleNamespace, velocity: float) -> float:
+    """Restitution at an approach velocity [m/s]."""
+    if constants.limit_velocity == 0.0:
+        return float(constants.restitution)
+    fit = VelocityRestitution(constants.sigma, constants.psi, constants.limit_velocity)
+    return float(fit(max(velocity, 0.0)))
+
 
 REST_DAMPING = 0.1
 """Default of the option `rest_damping`."""
-
 LEAST_RESOLVED = 0.1
 """Smallest restitution whose unloading the time step resolves; below it the bound on the unloading tangent applies."""
-
 _step_mean = build_step_mean(DAMPING_POWER)
 
 

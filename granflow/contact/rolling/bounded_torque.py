@@ -13,8 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.law import HistoryField, ModelRequest
-from granflow.contact.surface_law import RollingLaw, SurfaceState, in_contact_plane, reference_in_contact_plane
+from granflow.contact.law import (
+    HistoryField,
+    ModelRequest,
+    RollingLaw,
+    SurfaceState,
+    in_contact_plane,
+    reference_in_contact_plane,
+)
 from granflow.device_functions import ti
 
 STOPPED_SHARE = 0.125

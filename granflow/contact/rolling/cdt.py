@@ -5,10 +5,8 @@ CDT is discontinuous at zero rate; at small rates the bound of `bounded_torque` 
 
 from dataclasses import dataclass
 
-from granflow.contact.model import ContactModel
-from granflow.contact.options import ROLLING_FRICTION
+from granflow.contact.law import ROLLING_FRICTION, ContactModel, SurfaceState
 from granflow.contact.rolling.bounded_torque import BoundedTorque
-from granflow.contact.surface_law import SurfaceState
 from granflow.device_functions import ti
 
 

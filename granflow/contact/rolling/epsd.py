@@ -9,10 +9,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from granflow.contact.law import HistoryField
-from granflow.contact.model import ContactModel
-from granflow.contact.options import ROLLING_FRICTION
-from granflow.contact.surface_law import RollingLaw, SurfaceState, in_contact_plane, reference_in_contact_plane
+from granflow.contact.law import (
+    ROLLING_FRICTION,
+    ContactModel,
+    HistoryField,
+    RollingLaw,
+    SurfaceState,
+    in_contact_plane,
+    reference_in_contact_plane,
+)
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
     reference_rotation,

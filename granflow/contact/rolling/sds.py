@@ -10,11 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.law import HistoryField, ModelRequest
-from granflow.contact.model import ContactModel
-from granflow.contact.options import ROLLING_FRICTION, Amount, PairOption
+from granflow.contact.law import (
+    ROLLING_FRICTION,
+    Amount,
+    ContactModel,
+    HistoryField,
+    ModelRequest,
+    PairOption,
+    SurfaceState,
+    in_contact_plane,
+    reference_in_contact_plane,
+)
 from granflow.contact.rolling.epsd import Epsd
-from granflow.contact.surface_law import SurfaceState, in_contact_plane, reference_in_contact_plane
 from granflow.device_functions import ti
 
 BELOW_LIMIT = 1.0 - 1e-6

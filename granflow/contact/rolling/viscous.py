@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount, PairOption
+from granflow.contact.law import Amount, ContactModel, PairOption, SurfaceState
 from granflow.contact.rolling.bounded_torque import BoundedTorque
-from granflow.contact.surface_law import SurfaceState
 from granflow.device_functions import ti
 
 

@@ -3,10 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.law import ModelRequest
-from granflow.contact.model import ContactModel
-from granflow.contact.options import FRICTION, Amount
-from granflow.contact.surface_law import SurfaceState
+from granflow.contact.law import FRICTION, Amount, ContactModel, ModelRequest, SurfaceState
 from granflow.contact.tangential.mindlin import DAMPING, Mindlin
 from granflow.device_functions import ti
 

@@ -10,11 +10,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from granflow.contact.law import HistoryField, ModelRequest
+from granflow.contact.law import (
+    FRICTION,
+    Amount,
+    Choice,
+    ContactModel,
+    HistoryField,
+    ModelRequest,
+    SurfaceState,
+    TangentialLaw,
+)
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import FRICTION, Amount, Choice
-from granflow.contact.surface_law import SurfaceState, TangentialLaw
 from granflow.contact.tangential.spring import (
     elastic_plastic_spring,
     limit_ratio,

@@ -4,11 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from granflow.contact.law import ModelRequest
+from granflow.contact.law import FRICTION, ContactModel, ModelRequest, SurfaceState
 from granflow.contact.material import PairMaterial
-from granflow.contact.model import ContactModel
-from granflow.contact.options import FRICTION
-from granflow.contact.surface_law import SurfaceState
 from granflow.contact.tangential.mindlin import DAMPING
 from granflow.contact.twisting.torsion import TorsionLaw
 from granflow.device_functions import ti

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from granflow.contact.law import HistoryField
-from granflow.contact.surface_law import SurfaceState, TwistingLaw
+from granflow.contact.law import HistoryField, SurfaceState, TwistingLaw
 from granflow.device_functions import ti
 
 

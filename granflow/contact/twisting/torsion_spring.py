@@ -3,10 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from granflow.contact.law import ModelRequest
-from granflow.contact.model import ContactModel
-from granflow.contact.options import Amount, PairOption
-from granflow.contact.surface_law import SurfaceState
+from granflow.contact.law import Amount, ContactModel, ModelRequest, PairOption, SurfaceState
 from granflow.contact.twisting.torsion import TorsionLaw
 from granflow.device_functions import ti
 

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.engine.control import CACHE_LINE
-from granflow.engine.dispatch import build_tasks_of_thread, thread_count
-from granflow.engine.state import CPU_STRIDE, State
-from granflow.engine.threads.barrier import arrive, release, wait
+from granflow.engine.fields import build_tasks_of_thread, thread_count
+from granflow.engine.state import CACHE_LINE, CPU_STRIDE, State
+from granflow.engine.threads import arrive, release, wait
 from granflow.kernel_language import ti
 from granflow.plan.capacities import BOUNDS, SCAN_BLOCK
 

@@ -1,30 +1,87 @@
 """Rebuild of the neighbor lists: wrap, sort and delete particles, then fill the lists, in one launch."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from granflow.engine.box import build_wrap
 from granflow.engine.clumps import index_phase
-from granflow.engine.contact_histories import HistoryTable
-from granflow.engine.device_flags import DeviceFlags, read_flags
-from granflow.engine.force.liquid_transfer import build_prepare_films, transfers_liquid
-from granflow.engine.host_copy import copy_to_host, saved_particle_table
-from granflow.engine.host_particles import HostParticles
-from granflow.engine.limits import ABORT_FAR
-from granflow.engine.neighbor.bounds import KEPT_REACH, bounds_phases
-from granflow.engine.neighbor.cell_sort import class_phases, sort_phases
-from granflow.engine.neighbor.deletion import find_farthest
-from granflow.engine.neighbor.fill_phase import TOO_LONG, fill_phase
-from granflow.engine.neighbor.history_transfer import build_save_history
-from granflow.engine.neighbor.phases import Phase, build_rebuild
-from granflow.engine.neighbor.reorder import reorder_phases
-from granflow.engine.periodic_box import build_wrap
+from granflow.engine.codes import ABORT_FAR
+from granflow.engine.fields import components
+from granflow.engine.gpu import DeviceFlags, read_flags
+from granflow.engine.history import build_save_history
+from granflow.engine.host import HistoryTable, HostParticles, copy_to_host, saved_particle_table
+from granflow.engine.liquid import build_prepare_films, transfers_liquid
+from granflow.engine.neighbor.list import TOO_LONG, fill_phase
+from granflow.engine.neighbor.phases import Phase, build_rebuild, granularity, is_count
+from granflow.engine.neighbor.sort import KEPT_REACH, bounds_phases, class_phases, find_farthest, sort_phases
 from granflow.engine.state import State
 from granflow.engine.wall_dynamics import mark_rebuild
 from granflow.errors import GranflowError
 from granflow.kernel_language import ti
 from granflow.plan.capacities import REACH_STEPS
+
+# Permutation of all particle fields into cell order at a neighbor-list rebuild.
+
+
+def reorder_phases(state: State) -> list[Phase]:
+    """Move all particle fields to the new order: copied to buffers, then back.
+
+    Fields that are written again before they are read serve as buffers. A vector buffer takes a vector or three
+    numbers. `position_at_rebuild` keeps the positions; before, it takes the reals that are wider than a force.
+
+    Reads:   order
+    Writes:  all fields of `Particles.sorted_fields`, position_at_rebuild, force, torque, coordination_number
+    """
+    particles, phases = state.particles, []
+    fields = [field for field in particles.sorted_fields() if field is not particles.position]
+    reals = [component for field in fields if field.dtype != ti.i32 for component in components(field)]
+    at_rebuild = components(particles.position_at_rebuild)
+    widest = at_rebuild[0].dtype if at_rebuild[0].dtype != particles.force.dtype else None
+    wide, reals = [each for each in reals if each.dtype == widest], [each for each in reals if each.dtype != widest]
+    for k in range(0, len(wide), len(at_rebuild)):
+        phases += _copy_phases(state, [*zip(wide[k:], at_rebuild, strict=False)])
+    integers = [field for field in fields if field.dtype == ti.i32]
+    buffers = [*components(particles.force), *(components(particles.torque) if particles.torque is not None else ())]
+    first = [*zip(components(particles.position), at_rebuild, strict=True)]
+    while reals or integers:
+        pairs = [*first, *zip(reals, buffers, strict=False)]
+        pairs += zip(integers, [particles.coordination_number], strict=False)
+        reals, integers, first = reals[len(buffers) :], integers[1:], []
+        phases += _copy_phases(state, pairs)
+    return phases
+
+
+def _copy_phases(state: State, pairs: list[Any]) -> list[Phase]:
+    """Phases that permute some components: to the buffers in the new order, then back.
+
+    pairs:  scalar fields (field, buffer)
+
+    Reads:   order
+    Writes:  fields and buffers of `pairs`
+    """
+    order, (per_task, _) = state.cell_sort.order, granularity(state)
+
+    @ti.func
+    def gather(task: ti.template(), rebuild: ti.template()):
+        source, k = 0, task.begin
+        while (k < task.end) & is_count(source):
+            source = order[k]
+            for field, buffer in ti.static(pairs):
+                buffer[k] = ti.cast(field[source], buffer.dtype)
+            k += 1
+
+    @ti.func
+    def copy_back(task: ti.template(), rebuild: ti.template()):
+        k = task.begin
+        while k < task.end and is_count(order[k]):
+            for field, buffer in ti.static(pairs):
+                field[k] = ti.cast(buffer[k], field.dtype)
+            k += 1
+
+    most = order.shape[0]
+    return [Phase(gather, most, per_task=per_task), Phase(copy_back, most, per_task=per_task)]
 
 
 class RebuildKernel:

@@ -6,20 +6,22 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from granflow.fields import unit_of
-from granflow.scene.schema import quantities as q
-from granflow.scene.schema.faults import Fault, missing, redundant, whole
-from granflow.scene.schema.fields import FileName, ListOf, Model, Name, Text
-from granflow.scene.schema.given_numbers import (
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.scene import Seed
+from granflow.scene.model import FileName, ListOf, Model, Name, Text, suggestion_or_list
+from granflow.units import (
+    Fault,
     GivenNumber,
     GivenQuantity,
     NumberWithUnit,
     bound_faults,
     in_unit,
+    missing,
     mixed_units,
+    redundant,
     unit_conflict,
+    whole,
 )
-from granflow.scene.schema.scene import Seed
-from granflow.scene.suggest import suggestion_or_list
 
 Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[pairs.glass-glass.friction]")]
 Tolerance = Annotated[GivenNumber, NumberWithUnit("any", noun="a tolerance", above=0)]

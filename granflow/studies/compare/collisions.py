@@ -11,9 +11,9 @@ import numpy as np
 from granflow import GranflowError, Scene, SceneError
 from granflow.contact import theory
 from granflow.contact.material import PairMaterial
-from granflow.geometry.sphere import sphere_mass
-from granflow.studies.compare.variants import LawVariant, automatic_plan, restitution_for
-from granflow.studies.head_on import HeadOnCollision, Outcomes, collide_all
+from granflow.geometry.shape import sphere_mass
+from granflow.studies.bench import HeadOnCollision, Outcomes, collide_all
+from granflow.studies.compare.runs import LawVariant, automatic_plan, restitution_for
 
 DECADES_BELOW, DECADES_ABOVE, PER_DECADE = 2, 1, 4
 """Range of velocities about the reference velocity in decades, and velocities per decade."""

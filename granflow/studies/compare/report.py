@@ -1,13 +1,14 @@
 """`granflow compare`: runs, collisions, output files and the page of the comparison."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from granflow import Scene
-from granflow.studies.compare.bed_statistics import FORCE_EDGES, MIN_CONTACTS, SURFACE_PERCENTILE
 from granflow.studies.compare.collisions import (
     COARSE_STEPS,
     FINE_STEPS,
@@ -18,15 +19,371 @@ from granflow.studies.compare.collisions import (
     sweep_columns,
     sweeps_of,
 )
-from granflow.studies.compare.drawing import drawings, has_forces
-from granflow.studies.compare.paraview import SCRIPT, write_script
-from granflow.studies.compare.runs import BURSTS, SAMPLES, SAMPLES_PER_CONTACT, VariantRun, hertz_duration, run_all
-from granflow.studies.compare.soft_spring import soft_spring_note
-from granflow.studies.compare.spring_assessment import Assessment, assess
-from granflow.studies.compare.summary import SummaryRow, as_text, densest_stage, heads, summary, summary_columns
-from granflow.studies.compare.variants import reduced_counts, reference_velocity_of, variants_of
-from granflow.studies.page import write_study
-from granflow.studies.tables import PageTable, stacked
+from granflow.studies.compare.runs import (
+    BURSTS,
+    FORCE_EDGES,
+    MIN_CONTACTS,
+    SAMPLES,
+    SAMPLES_PER_CONTACT,
+    SURFACE_PERCENTILE,
+    VariantRun,
+    _last,
+    at_end,
+    densest_stage,
+    hertz_duration,
+    reduced_counts,
+    reference_velocity_of,
+    run_all,
+    variants_of,
+)
+from granflow.studies.compare.springs import Assessment, assess, soft_spring_note
+from granflow.studies.page import COLORS, MARKERS, Drawing, PageTable, stacked, stacked_panels, write_page, write_study
+from granflow.visible_text import readable
+
+# Figures of a comparison.
+
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (3, 1, 1, 1)))
+"""Line styles by index of the run."""
+ENERGIES = {
+    "kinetic": ("kinetic_energy", "rotational_energy"),
+    "elastic": ("elastic_energy",),
+    "lost: plastic": ("plastic_dissipation",),
+    "lost: friction": ("friction_dissipation", "rolling_dissipation"),
+    "lost: damping": ("damping_dissipation",),
+}
+"""Columns of timeseries.csv that are summed to each curve [J]."""
+
+
+def drawings(
+    runs: Sequence[VariantRun], subject: CollisionSubject | None, collisions: Mapping[str, np.ndarray]
+) -> dict[str, Drawing]:
+    """All figures by file name.
+
+    `collisions`: columns of collisions.csv; without a subject or collisions, their figure is omitted.
+    """
+    figures = {
+        "course.png": Drawing(lambda figure: draw_course(figure, runs), 7.0),
+        "energies.png": Drawing(lambda figure: draw_energies(figure, runs), 0.8 + 1.6 * len(runs)),
+        "contacts.png": Drawing(lambda figure: draw_contacts(figure, runs), 0.6 + 2.4 * (1 + has_forces(runs))),
+    }
+    if subject is not None and collisions:
+        figures["collisions.png"] = Drawing(lambda figure: draw_collisions(figure, subject, collisions, runs), 8.0)
+    return figures
+
+
+def _style(number: int) -> dict[str, Any]:
+    """Color and line style of a run by its index."""
+    return {"color": COLORS[number % len(COLORS)], "linestyle": DASHES[number % len(DASHES)]}
+
+
+def _legend(figure: Any, axes: Any) -> None:
+    """Shared legend of a figure, above the panels."""
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=2)
+
+
+def draw_course(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw flow, bed heights, contacts and overlaps against time.
+
+    A cross marks an aborted run. Without flow meters, the kinetic energy replaces the flow.
+    """
+    panels = stacked_panels(figure, 4, sharex=True)
+    meters = runs[0].meters
+    for number, run in enumerate(runs):
+        style, columns = _style(number), run.columns
+        first = columns[f"flow_mass.{meters[0]}"] if meters else 1e3 * columns["kinetic_energy"]
+        panels[0].plot(columns["time"], first, label=run.variant.title, **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 1], **style)
+        panels[1].plot(run.heights[:, 0], 1e3 * run.heights[:, 2], **style, alpha=0.6, linewidth=0.8)
+        panels[2].plot(columns["time"], columns["coordination_number"], **style)
+        panels[3].plot(columns["time"], 100.0 * columns["overlap_mean"], **style)
+        if run.stopped:
+            panels[0].plot(columns["time"][-1], first[-1], marker="x", color=style["color"])
+    panels[0].set_ylabel(f"mass through {meters[0]} (kg)" if meters else "kinetic energy (mJ)")
+    panels[1].set_ylabel("height (mm): center, surface")
+    panels[2].set_ylabel("coordination number")
+    panels[3].set(ylabel="mean overlap / radius (%)", xlabel="time (s)")
+    _legend(figure, panels[0])
+
+
+def draw_energies(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw stored and dissipated energies, one panel per contact model."""
+    panels = stacked_panels(figure, len(runs), sharex=True, sharey=True)
+    for number, (axes, run) in enumerate(zip(panels, runs, strict=True)):
+        for kind, (label, names) in enumerate(ENERGIES.items()):
+            total = sum(run.columns[name] for name in names)
+            axes.plot(run.columns["time"], 1e3 * total, label=label, **_style(kind))
+        axes.set_title(f"({'abcdefghij'[number]}) {run.variant.title}")
+        axes.set_ylabel("energy (mJ)")
+    panels[-1].set_xlabel("time (s)")
+    _legend(figure, panels[0])
+
+
+def draw_contacts(figure: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw the distribution of normal forces and the survival function of the contact duration, if there are any.
+
+    The forces are those of the densest stage; the duration is the last panel.
+    """
+    panels = stacked_panels(figure, 2 if has_forces(runs) else 1)
+    if has_forces(runs):
+        _draw_forces(panels[0], runs)
+    for number, run in enumerate(runs):
+        times, share = run.duration_survival
+        steps = (1e6 * np.append(0.0, times), np.append(1.0, share))
+        panels[-1].step(*steps, where="post", label=run.variant.title, **_style(number))
+    panels[-1].set(xlabel="contact duration (µs)", ylabel="share of longer contacts", ylim=(0.0, 1.02))
+    _legend(figure, panels[-1])
+
+
+def has_forces(runs: Sequence[VariantRun]) -> bool:
+    """Whether a run has a frame of the densest stage with enough contacts for a distribution of forces."""
+    stage = densest_stage(runs)
+    return any(np.any(run.forces.density(stage) > 0.0) for run in runs)
+
+
+def _draw_forces(axes: Any, runs: Sequence[VariantRun]) -> None:
+    """Draw the distributions of normal forces of the densest stage."""
+    stage = densest_stage(runs)
+    middles = 0.5 * (FORCE_EDGES[:-2] + FORCE_EDGES[1:-1])
+    for number, run in enumerate(runs):
+        density = run.forces.density(stage)
+        axes.plot(middles, np.where(density > 0.0, density, np.nan), **_style(number))
+    axes.set(yscale="log", xlabel="$f/\\langle f \\rangle$", ylabel=f"$P(f/\\langle f \\rangle)$, {stage}")
+
+
+def draw_collisions(
+    figure: Any, subject: CollisionSubject, columns: Mapping[str, np.ndarray], runs: Sequence[VariantRun]
+) -> None:
+    """Draw duration, maximum overlap and restitution over the exact values, with the fine and the reference step.
+
+    `columns`: of collisions.csv. Dotted: reference velocity, and the lower velocity limit of Eq. 19 per contact.
+    """
+    panels = stacked_panels(figure, 4, sharex=True)
+    shown = (("duration", "fine"), ("overlap_max", "fine"), ("restitution", "fine"), ("restitution", "coarse"))
+    titles = {run.variant.key: run.variant.title for run in runs}
+    for number, law in enumerate(dict.fromkeys(columns["law"].tolist())):
+        style = _style(number) | {"marker": MARKERS[number % len(MARKERS)], "markersize": 3.5, "markerfacecolor": "w"}
+        for axes, (name, step) in zip(panels, shown, strict=True):
+            is_row = (columns["law"] == law) & (columns["step"] == step)
+            ratio = columns[name][is_row] / columns[f"{name}_exact"][is_row]
+            axes.plot(columns["velocity"][is_row], ratio, label=titles.get(law, law), **style)
+    for letter, axes in zip("abcd", panels, strict=True):
+        axes.axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
+        axes.axvline(subject.reference_velocity, color="0.5", linestyle=":", linewidth=0.8)
+        axes.axvline(floor_velocity(subject), color="0.7", linestyle=":", linewidth=0.8)
+        axes.set_title(f"({letter})")
+    panels[0].set(xscale="log", ylabel="contact duration,\nsimulated / exact", yscale="log")
+    panels[1].set(ylabel="maximum overlap,\nsimulated / exact", yscale="log")
+    panels[2].set(ylabel="restitution / target,\nfine time step")
+    panels[3].set(ylabel="restitution / target,\nreference time step", xlabel="approach velocity (m/s)")
+    low, high = (f(a.get_ylim()[k] for a in panels[2:]) for k, f in enumerate((min, max)))
+    for axes in panels[2:]:
+        axes.set_ylim(low, high)
+    for axes in panels[:2]:
+        axes.set_yticks([0.4, 0.6, 0.8, 1.0, 1.5, 2.0], ["0.4", "0.6", "0.8", "1", "1.5", "2"])
+        axes.set_yticks([], minor=True)
+    _legend(figure, panels[0])
+
+
+# Script for ParaView and pvpython that shows the PVD files of all variants side by side.
+#
+# The script finds the files at their absolute path, or in its directory if they were moved together.
+
+SCRIPT = "side_by_side.py"
+"""Name of the script."""
+GAP = 0.25
+"""Gap between two variants, over the width of the domain."""
+
+
+def write_script(out: Path, scene: Scene, runs: Sequence[VariantRun], speed: float) -> None:
+    """Write the script into `out`; `speed` [m/s] is the upper end of the color scale.
+
+    The variants are shifted along the horizontal axis by the width of the domain plus a gap.
+    """
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    up = -np.array(scene.gravity, dtype=float)
+    vertical = int(np.argmax(np.abs(up))) if up.any() else 2
+    horizontal = 0 if vertical != 0 else 1
+    depth = 3 - vertical - horizontal
+    shift, axis, view_axis = np.zeros(3), np.zeros(3), np.zeros(3)
+    shift[horizontal] = (1.0 + GAP) * (high - low)[horizontal]
+    axis[vertical] = 1.0 if up[vertical] >= 0.0 else -1.0
+    view_axis[depth] = -1.0 if (horizontal, vertical, depth) == (0, 2, 1) else 1.0
+    top = 0.5 * (low + high)
+    top[vertical] = high[vertical] if axis[vertical] > 0.0 else low[vertical]
+    write_page(
+        out / SCRIPT,
+        "side_by_side.py.jinja",
+        title=scene.title.replace('"', "'"),
+        names={run.variant.key: run.variant.title + (" (aborted)" if run.stopped else "") for run in runs},
+        script=SCRIPT,
+        directory=str(out.resolve()),
+        shift=shift.tolist(),
+        speed=speed,
+        top=top.tolist(),
+        view_axis=view_axis.tolist(),
+        up=axis.tolist(),
+    )
+
+
+# Summary table: one row per quantity, one column per contact model, with the ratio to the first.
+#
+# Values are stored in SI units and converted for display only.
+
+STRONG = 2.0
+"""Multiple of the mean force above which a contact counts as strong."""
+MISSING = "–"
+"""Cell without a value."""
+
+
+class Unit(NamedTuple):
+    """SI unit of a value, unit in the table, and its value in SI units; empty text for dimensionless values."""
+
+    si: str
+    shown: str
+    per_si: float
+
+
+SECOND, MICROSECOND, MILLIMETER = Unit("s", "s", 1.0), Unit("s", "µs", 1e6), Unit("m", "mm", 1e3)
+MILLIJOULE, MASS_FLOW = Unit("J", "mJ", 1e3), Unit("kg/s", "kg/s", 1.0)
+NUMBER, PERCENT = Unit("", "", 1.0), Unit("", "%", 1e2)
+Quantity = tuple[str, Unit, Callable[[VariantRun], float]]
+"""Name, unit, and function that returns the value of a run in SI units, or nan."""
+
+
+@dataclass(frozen=True)
+class SummaryRow:
+    """One quantity in SI units for all runs, in the order of the runs; nan if a run has no value.
+
+    The first run is the reference of the ratios. `is_complete`: whether the value refers to a complete run, or does not
+    depend on the run; ratios of other values are nan. `at_stage`: whether the value refers to the densest stage.
+    """
+
+    name: str
+    unit: Unit
+    values: tuple[float, ...]
+    is_complete: tuple[bool, ...]
+    at_stage: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name, with a star if the value refers to the densest stage."""
+        return f"{self.name} *" if self.at_stage else self.name
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """Ratios to the value of the first run; nan if that is 0 or missing, or for part of a run."""
+        first = self.values[0] if self.is_complete[0] else 0.0
+        pairs = zip(self.values, self.is_complete, strict=True)
+        return tuple(value / first if first and is_complete else float("nan") for value, is_complete in pairs)
+
+
+def _height(stage: str, column: int, run: VariantRun) -> float:
+    """Height [m] in the sample nearest to the end of a stage; nan if a run did not complete the stage."""
+    time = at_end(stage, "time")(run)
+    return run.heights[np.argmin(np.abs(run.heights[:, 0] - time)), column] if np.isfinite(time) else float("nan")
+
+
+TIME_STEP: Quantity = ("time step", MICROSECOND, lambda run: run.time_step)
+COST: tuple[Quantity, ...] = (
+    ("simulated time", SECOND, lambda run: run.time),
+    ("steps needed", NUMBER, lambda run: run.step_count),
+    ("wall time of steps", SECOND, lambda run: run.seconds),
+    ("wall time per step", MICROSECOND, lambda run: run.seconds / max(run.step_count, 1)),
+    ("compilation", SECOND, lambda run: run.compile_seconds),
+)
+"""Steps and wall time."""
+CONTACTS: tuple[Quantity, ...] = (
+    ("maximum overlap/radius", PERCENT, lambda run: np.nanmax(run.columns["overlap_largest"])),
+    ("median contact duration", MICROSECOND, lambda run: run.median_duration),
+)
+"""Contacts of the complete run."""
+ENERGY_QUANTITIES: tuple[Quantity, ...] = (
+    ("kinetic energy, end", MILLIJOULE, partial(_last, "kinetic_energy")),
+    ("lost: plastic", MILLIJOULE, partial(_last, "plastic_dissipation")),
+    ("lost: friction", MILLIJOULE, partial(_last, "friction_dissipation")),
+    ("lost: rolling", MILLIJOULE, partial(_last, "rolling_dissipation")),
+    ("lost: damping", MILLIJOULE, partial(_last, "damping_dissipation")),
+)
+"""Energies at the end of the run."""
+ENERGY_ERROR: Quantity = ("energy error, end", PERCENT, lambda run: abs(run.columns["energy_error"][-1]))
+
+
+def _flow(meter: str) -> Quantity:
+    """Mass flow rate through a meter."""
+    return f"mass flow rate, {meter}", MASS_FLOW, lambda run: run.mass_flow(meter)
+
+
+def _bed(stage: str) -> tuple[Quantity, ...]:
+    """State of the bed at the end of a stage."""
+    return (
+        ("end of stage", SECOND, at_end(stage, "time")),
+        ("center of mass", MILLIMETER, partial(_height, stage, 1)),
+        ("surface", MILLIMETER, partial(_height, stage, 2)),
+        ("coordination number", NUMBER, at_end(stage, "coordination_number")),
+        ("mean overlap/radius", PERCENT, at_end(stage, "overlap_mean")),
+        (f"contacts above {STRONG:g} <f>", PERCENT, lambda run: run.forces.share_above(stage, STRONG)),
+    )
+
+
+def summary(runs: Sequence[VariantRun]) -> list[SummaryRow]:
+    """All rows with a finite value of at least one run: cost, flow, bed, contacts, energies that are not all zero."""
+
+    is_complete = tuple(not run.stopped for run in runs)
+
+    def rows(quantities: Iterable[Quantity], at_stage: bool = False) -> list[SummaryRow]:
+        return [
+            SummaryRow(name, unit, tuple(float(number(run)) for run in runs), is_complete, at_stage)
+            for name, unit, number in quantities
+        ]
+
+    time_steps = [replace(row, is_complete=(True,) * len(runs)) for row in rows([TIME_STEP])]
+    found = [
+        *time_steps,
+        *rows(COST),
+        *rows(map(_flow, runs[0].meters)),
+        *rows(_bed(densest_stage(runs)), at_stage=True),
+    ]
+    found += [*rows(CONTACTS), *(row for row in rows(ENERGY_QUANTITIES) if any(row.values)), *rows([ENERGY_ERROR])]
+    return [row for row in found if np.isfinite(row.values).any()]
+
+
+def heads(runs: Sequence[VariantRun], is_short: bool = False) -> list[str]:
+    """Column headings of the table, on several lines; `is_short`: those of ratios name the first contact model only."""
+    first, *others = (run.variant.title.replace(" ", "\n", 1) for run in runs)
+    pairs = ((title, f"over\n{first}" if is_short else f"{title}\nover {first}") for title in others)
+    return ["", "unit", first, *(head for pair in pairs for head in pair)]
+
+
+def as_text(rows: Sequence[SummaryRow]) -> list[list[str]]:
+    """Cells of the table: value of the first contact model, then value and ratio of each other."""
+    found = []
+    for row in rows:
+        _, unit, factor = row.unit
+        first, *others = (factor * value for value in row.values)
+        cells = [row.label, unit, _number(first)]
+        for value, ratio in zip(others, row.ratios[1:], strict=True):
+            cells += [_number(value), f"{ratio:.3g}" if np.isfinite(ratio) else MISSING]
+        found.append(cells)
+    return found
+
+
+def summary_columns(runs: Sequence[VariantRun], rows: Sequence[SummaryRow]) -> dict[str, np.ndarray]:
+    """Columns of compare.csv: one row per quantity and contact model, with values in SI units and their ratios."""
+    laws = [run.variant.key for run in runs]
+    return {
+        "quantity": np.repeat([row.name for row in rows], len(laws)),
+        "unit": np.repeat([row.unit.si for row in rows], len(laws)),
+        "law": np.tile(laws, len(rows)),
+        "value": np.array([value for row in rows for value in row.values]),
+        "ratio": np.array([ratio for row in rows for ratio in row.ratios]),
+    }
+
+
+def _number(value: float) -> str:
+    """Text of a value, or a dash for nan."""
+    return readable(value) if np.isfinite(value) else MISSING
+
 
 PAGE = "compare.html"
 MOST_PARTICLES = 4000

@@ -7,26 +7,28 @@ from typing import Any
 
 from granflow.contact import theory
 from granflow.contact.material import limit_velocity
-from granflow.studies.figures import Drawing, require_plotting
-from granflow.studies.page import write_study
-from granflow.studies.paper import cost
-from granflow.studies.paper.accuracy import accuracy_figure, accuracy_run
-from granflow.studies.paper.cases import PAPER_CASES, STEPS_PER_CONTACT
+from granflow.studies.page import Drawing, PageTable, percent, require_plotting, write_study
+from granflow.studies.paper import comparison as cost
 from granflow.studies.paper.comparison import REFERENCE_VELOCITY, LawComparison, compare, comparison_figure
-from granflow.studies.paper.figure_data import FigureData
-from granflow.studies.paper.loops import loop_figure, loop_run
-from granflow.studies.paper.oblique import oblique_run
-from granflow.studies.paper.oblique_figure import oblique_figure
-from granflow.studies.paper.residual import error_figure, residual_figure, residual_run
-from granflow.studies.paper.velocity import (
+from granflow.studies.paper.figures import (
+    PAPER_CASES,
+    STEPS_PER_CONTACT,
+    FigureData,
+    accuracy_figure,
+    accuracy_run,
     duration_figure,
+    error_figure,
     estimate_run,
+    loop_figure,
+    loop_run,
+    residual_figure,
+    residual_run,
     restitution_figure,
     spring_figure,
     velocity_columns,
     velocity_run,
 )
-from granflow.studies.tables import PageTable, percent
+from granflow.studies.paper.oblique import oblique_figure, oblique_run
 
 TABULATED = (0.2, 0.5, 0.7, 0.9, 1.0)
 """Restitutions in the table of the model."""

@@ -1,51 +1,504 @@
 """Pictures of the frames of a run, with the same style, camera and color range."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
+from textwrap import wrap
+from typing import Any
 
 import numpy as np
 
 from granflow import Scene, read_run
 from granflow.errors import GranflowError
-from granflow.io.atomic_files import replacing
-from granflow.studies.render.bounding_points import (
-    bounding_points,
-    domain_of,
-    drawn_box,
-    particle_points,
-    planes_of,
-    sampled,
-)
-from granflow.studies.render.camera import Camera, HalfSpace, View, aspect_of, camera_for, view_of
-from granflow.studies.render.colors import Scale, scale_for, values_of
+from granflow.fields import CONTACT_QUANTITIES, PARTICLE_QUANTITIES
+from granflow.io.files import replacing
+from granflow.scene.model import nearest
+from granflow.studies.page import COLORS, styled_figure
 from granflow.studies.render.frames import (
+    OPENING,
+    Camera,
     ForceChains,
     Frame,
     FrameParticles,
+    FrameWalls,
+    HalfSpace,
+    View,
+    aspect_of,
+    bounding_points,
+    camera_for,
+    domain_of,
+    drawn_box,
     frames_of,
+    particle_points,
+    planes_of,
     read_force_chains,
     read_particles,
     read_walls,
+    sampled,
+    view_of,
 )
-from granflow.studies.render.legend import WIDTH, colors_of, legend_strip
-from granflow.studies.render.renderer import Renderer, require_pyvista
+
+# Color scale of a picture: values of one array, its name and unit, and a range.
+#
+# One scale applies to all frames of a run, so that colors are comparable.
+
+AXES = ("x", "y", "z")
+PERCENTILES = (1.0, 99.0)
+"""Percentiles of all values in all frames that limit the range; values beyond have the color of the limit."""
+FROM_ZERO = 0.5
+"""A range begins at 0 if its lower limit is below this fraction of the upper one."""
+PREFIXES = {-9: "n", -6: "\N{MICRO SIGN}", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+"""Prefixes of units by power of ten."""
+CATEGORIES = ("material", "group")
+"""Arrays with one color per number instead of a continuous scale."""
+SIGNED, UNSIGNED, OF_CONTACTS = "RdBu_r", "viridis", "YlOrRd"
+"""Color maps of matplotlib: values of both signs, other values, contacts."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Color scale: array, title of one or two lines, `limits` [SI], displayed unit and its value in SI.
+
+    `names` by number: materials or groups, with one color each; empty for a continuous scale.
+    """
+
+    color: str
+    title: str
+    unit: str
+    factor: float
+    limits: tuple[float, float]
+    names: Mapping[int, str] | None = None
+    out_of_range: tuple[bool, bool] = (False, False)
+
+    @property
+    def map_name(self) -> str:
+        """Color map: blue to white to red for values of both signs, pale to red for contacts."""
+        if self.color in CONTACT_QUANTITIES and self.color not in PARTICLE_QUANTITIES:
+            return OF_CONTACTS
+        return SIGNED if self.limits[0] < 0.0 < self.limits[1] else UNSIGNED
+
+
+def values_of(arrays: Mapping[str, np.ndarray], color: str) -> np.ndarray:
+    """Values (n,) of an array, magnitude of a vector, or one component such as velocity.z.
+
+    Raises GranflowError with the available names for an unknown one.
+    """
+    name, _, axis = color.partition(".")
+    if name not in arrays or (axis and (axis not in AXES or arrays[name].ndim != 2)):
+        near = nearest(name, list(arrays))
+        hint = f" Did you mean {near}?" if near and near != name else ""
+        raise GranflowError(f"--color {color}: no such array; the arrays are {', '.join(arrays)}.{hint}")
+    values = np.asarray(arrays[name], dtype=np.float64)
+    if values.ndim == 2:
+        return values[:, AXES.index(axis)] if axis else np.linalg.norm(values, axis=1)
+    return values
+
+
+def scale_for(
+    color: str,
+    values: Iterable[np.ndarray],
+    is_vector: bool = False,
+    names: Mapping[str, Sequence[str]] | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Scale:
+    """Color scale of an array from all shown values, or from given `limits` [SI].
+
+    `values`: arrays (n,) of the frames; values that are not finite are ignored. `names`: names of the materials and
+    groups of the scene, by array name.
+    """
+    finite = np.concatenate([np.zeros(0), *values])
+    finite = finite[np.isfinite(finite)]
+    name, _, axis = color.partition(".")
+    if name in CATEGORIES:
+        return Scale(color, name, "", 1.0, (0.0, 1.0), _categories(name, finite, names or {}))
+    low, high = limits or _range(finite, signed=bool(axis))
+    quantity = PARTICLE_QUANTITIES.get(name) or CONTACT_QUANTITIES.get(name)
+    factor, unit = prefixed("" if quantity is None or quantity.unit == "1" else quantity.unit, max(abs(low), abs(high)))
+    title = name.replace("_", " ") + (f", {axis}" if axis else "\nmagnitude" if is_vector else "")
+    out_of_range = (bool(np.any(finite < low)), bool(np.any(finite > high)))
+    return Scale(color, title, unit, factor, (low, high), out_of_range=out_of_range)
+
+
+def _categories(name: str, values: np.ndarray, names: Mapping[str, Sequence[str]]) -> dict[int, str]:
+    """Names of the materials or groups that occur in the values, by number."""
+    known = names.get(name, ())
+    numbers = sorted({int(value) for value in values})
+    return {number: known[number] if number < len(known) else f"{name} {number}" for number in numbers}
+
+
+def _range(values: np.ndarray, signed: bool) -> tuple[float, float]:
+    """Range that contains most values (PERCENTILES); symmetric for components, from 0 if the lower limit is near 0.
+
+    `values` (n,) [SI], all finite; (0, 1) without values.
+    """
+    if not len(values):
+        return 0.0, 1.0
+    low, high = (float(end) for end in np.percentile(values, PERCENTILES))
+    if signed:
+        high = max(abs(low), abs(high)) or 1.0
+        return -high, high
+    if 0.0 <= low < FROM_ZERO * high:
+        low = 0.0
+    if low == high:
+        return min(2.0 * high, 0.0), max(2.0 * high, 0.0) if high else 1.0
+    return low, high
+
+
+def prefixed(unit: str, largest: float) -> tuple[float, str]:
+    """Value in SI of the unit with the prefix that suits the largest number, and that unit; powers have no prefix.
+
+    For example, 1e-3 and "mN" for "N" and 0.02.
+    """
+    if not largest > 0.0 or not unit or any(sign in unit for sign in "^0123456789"):
+        return 1.0, unit
+    grams = unit.startswith("kg")
+    power = int(np.floor(np.log10(largest * (1000.0 if grams else 1.0)) / 3.0 + 1e-9)) * 3
+    power = min(max(power, min(PREFIXES)), max(PREFIXES))
+    if grams:
+        return 10.0 ** (power - 3), f"{PREFIXES[power]}{unit[1:]}"
+    return 10.0**power, f"{PREFIXES[power]}{unit}"
+
+
+# Films from pictures: MP4 by the ffmpeg of the package imageio-ffmpeg.
+
+CONSTANT_RATE_FACTOR = 25
+"""Quality of H.264, 0 (lossless) to 51: without visible block artifacts around particles."""
+OUTPUT = ("-crf", str(CONSTANT_RATE_FACTOR), "-f", "mp4", "-movflags", "+faststart")
+"""Quality; explicit format, because the temporary name has another suffix; the index first, for streaming."""
+
+
+def missing_for_film() -> str | None:
+    """Name of the package that films require if it is not installed, else None."""
+    return "imageio-ffmpeg" if find_spec("imageio_ffmpeg") is None else None
+
+
+def write_film(path: Path, pictures: Iterable[np.ndarray], rate: float) -> None:
+    """Write one or more pictures (height, width, 3), 0 to 255, of one even size as MP4 with `rate` pictures per second.
+
+    The file is replaced when it is complete. Raises ImportError without imageio-ffmpeg; see `missing_for_film`.
+    """
+    from imageio_ffmpeg import write_frames
+
+    with replacing(path) as temporary:
+        remaining = iter(pictures)
+        first = next(remaining)
+        writer = write_frames(
+            str(temporary), first.shape[1::-1], fps=rate, quality=None, macro_block_size=2,
+            output_params=list(OUTPUT), ffmpeg_log_level="error",
+        )  # fmt: skip
+        with closing(writer):
+            writer.send(None)
+            for picture in chain([first], remaining):
+                writer.send(np.ascontiguousarray(picture))
+
+
+# The legend strip on the right of a picture: time and color scale, outside the view of the particles.
+
+DPI = 100
+"""Dots per inch; font sizes are proportional to the height of the picture."""
+WIDTH = 0.27
+"""Width of the strip over the height of the picture; all lengths below are relative to that height as well."""
+LETTERS = 0.03
+"""Font size over the height of the picture."""
+TITLE_LETTERS = 13
+"""Maximum number of characters in a line of the title."""
+BAR = (0.12, 0.16, 0.17, 0.52)
+"""Left, bottom, width and height of the color bar, relative to the strip."""
+SCALE_BAR = (0.76, 0.055)
+"""Largest length of the scale bar and its height above the bottom, relative to the strip."""
+NO_VALUE = (0.6, 0.6, 0.6)
+"""Color of nan (red, green, blue; 0 to 1)."""
+
+
+def colors_of(values: np.ndarray, scale: Scale) -> np.ndarray:
+    """Colors (n, 3) uint8 of values (n,) [SI]; gray for nan. Values outside the limits get the color of the limit."""
+    from matplotlib import colormaps, colors
+
+    if scale.names is not None:
+        wheel = np.array([colors.to_rgb(color) for color in COLORS])
+        shown = wheel[values.astype(np.int64) % len(wheel)]
+    else:
+        low, high = scale.limits
+        shown = colormaps[scale.map_name](np.clip((values - low) / (high - low), 0.0, 1.0))[:, :3]
+        shown[~np.isfinite(values)] = NO_VALUE
+    return np.round(255.0 * shown).astype(np.uint8)
+
+
+def legend_strip(scale: Scale, time: str, height: int, shown_height: float, speed: str = "") -> np.ndarray:
+    """The strip as an image (height, width, 3), 0 to 255.
+
+    `time`, `speed`: text at the top; `height` [pixels]; the width is WIDTH times the height. `shown_height` [m]: length
+    that the height of the picture shows, for the scale bar.
+    """
+    letters = LETTERS * height * 72.0 / DPI
+    size = (WIDTH * height / DPI, height / DPI)
+    with styled_figure(size, {"font.size": letters}, dpi=DPI, facecolor="white") as figure:
+        figure.text(BAR[0], 0.96, time, va="top", fontsize=1.15 * letters)
+        figure.text(BAR[0], 0.91, speed, va="top", fontsize=0.9 * letters)
+        _scale_bar(figure, shown_height, letters)
+        title = "\n".join(_title_lines(scale))
+        figure.text(BAR[0], BAR[1] + BAR[3] + 0.025, title, va="bottom", linespacing=1.15)
+        _legend(figure, scale.names, letters) if scale.names is not None else _bar(figure, scale, letters)
+        figure.canvas.draw()
+        return np.asarray(figure.canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def _title_lines(scale: Scale) -> list[str]:
+    lines = [part for line in scale.title.split("\n") for part in wrap(line, TITLE_LETTERS)]
+    return [*lines, f"({scale.unit})"] if scale.unit else lines
+
+
+def _bar(figure: Any, scale: Scale, letters: float) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low, high = (limit / scale.factor for limit in scale.limits)
+    ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(low, high), scale.map_name), cax=figure.add_axes(BAR), extend=ends[scale.out_of_range]
+    )
+    bar.ax.locator_params(nbins=6)
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=letters, width=0.04 * letters, length=0.3 * letters, pad=0.25 * letters)
+    bar.outline.set_linewidth(0.04 * letters)
+
+
+def round_length(largest: float) -> float:
+    """Largest of the lengths 1, 2 and 5 times a power of ten that is at most `largest` [m]."""
+    power = 10.0 ** np.floor(np.log10(largest) + 1e-9)
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= largest * (1.0 + 1e-9)))
+
+
+def _scale_bar(figure: Any, shown_height: float, letters: float) -> None:
+    """A horizontal bar of a round length with its label."""
+    from matplotlib.lines import Line2D
+
+    length = round_length(SCALE_BAR[0] * WIDTH * shown_height)
+    factor, unit = prefixed("m", length)
+    right, bottom = BAR[0] + length / (WIDTH * shown_height), SCALE_BAR[1]
+    line: dict[str, Any] = {"color": "black", "linewidth": 0.09 * letters, "marker": "|", "markersize": 0.5 * letters}
+    figure.add_artist(Line2D([BAR[0], right], [bottom, bottom], **line))
+    figure.text(BAR[0], bottom + 0.015, f"{length / factor:g} {unit}", va="bottom", fontsize=0.9 * letters)
+
+
+def _legend(figure: Any, names: Mapping[int, str], letters: float) -> None:
+    """A colored dot and a name for each material or group, as many as fit."""
+    line = 1.5 * letters / (72.0 * figure.get_figheight())
+    for row, (number, name) in enumerate(list(names.items())[: int(BAR[3] / line)]):
+        height, color = BAR[1] + BAR[3] - (row + 0.5) * line, COLORS[number % len(COLORS)]
+        figure.text(BAR[0], height, "\N{BLACK CIRCLE}", color=color, va="center", family="DejaVu Sans")
+        figure.text(BAR[0] + 0.13, height, name, va="center")
+
+
+# Off-screen rendering of particles, walls and force chains with pyvista.
+
+FINER = 2
+"""Supersampling factor along each side, for antialiasing."""
+WALL = {"color": "lightsteelblue", "opacity": 0.16, "lighting": False}
+"""Style of walls in pyvista."""
+PLANE = WALL | {"opacity": 0.08}
+"""Style of unbounded planes."""
+EDGE_STYLE = {"color": "#5f7388", "line_width": 1.2 * FINER, "lighting": False}
+"""Style of edges of walls in pyvista."""
+EDGE_ANGLE = 25.0
+"""Angle between two facets of a wall above which their edge is drawn [degrees]."""
+SHADE = {"ambient": 0.22, "diffuse": 0.85, "specular": 0.18, "specular_power": 25.0}
+"""Lighting coefficients of particles and force chains."""
+FAINT = 0.05
+"""Opacity of particles in pictures of force chains."""
+TUBE_SIDES = 10
+"""Sides of the tubes of force chains."""
+GRAY = (205, 205, 205)
+"""Color of particles in pictures of force chains (red, green, blue; 0 to 255)."""
+NEAR = 0.02
+"""Ratio of radius to distance from the eye above which a sphere is drawn as triangles (a tenth of the height)."""
+FACETS = 80
+"""Number of facets of such a sphere, around the axis and from pole to pole."""
+
+
+def require_pyvista() -> Any:
+    """Import pyvista and return the module. Raises GranflowError if the extra `plot` is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+        import pyvista
+        from vtkmodules.vtkCommonCore import vtkLogger
+    except ImportError as error:
+        raise GranflowError(
+            f"Pictures require {error.name}, which is not installed: pip install pyvista matplotlib"
+        ) from None
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)  # no messages about missing displays
+    return pyvista
+
+
+class Renderer:
+    """Renders frames with a fixed camera; spheres are exact to the pixel.
+
+    `size`: width and height [pixels]. Raises GranflowError if pyvista is not installed. Call `close` after use.
+    """
+
+    def __init__(self, size: tuple[int, int], camera: Camera) -> None:
+        self._pyvista = require_pyvista()
+        self._plotter = self._pyvista.Plotter(off_screen=True, window_size=[FINER * side for side in size])
+        self._plotter.set_background("white")
+        self._plotter.ren_win.SetMultiSamples(0)  # multisampling would show the edges of transparent triangles
+        self._walls: FrameWalls | None = None
+        self._wall_actors: list[str] = []
+        self._set_camera(camera)
+
+    def draw(self) -> np.ndarray:
+        """Picture (height, width, 3), 0 to 255."""
+        from PIL import Image
+
+        self._plotter.renderer.ResetCameraClippingRange()
+        self._plotter.render()
+        drawn = self._plotter.screenshot(return_img=True)
+        return np.asarray(Image.fromarray(np.ascontiguousarray(drawn[:, :, :3])).reduce(FINER))
+
+    def close(self) -> None:
+        """Release the memory of the window."""
+        self._plotter.close()
+
+    def set_particles(self, particles: FrameParticles, colors: np.ndarray, faint: bool = False) -> None:
+        """Show particles in `colors` (n, 3), 0 to 255, or transparent and gray; replaces those shown before."""
+        colors = np.full_like(colors, GRAY) if faint else colors
+        distance = np.linalg.norm(particles.position - self._plotter.camera.position, axis=1)
+        is_near = particles.radius > NEAR * distance
+        for name, chosen, add in (("particles", ~is_near, self._add_many), ("near particles", is_near, self._add_near)):
+            self._plotter.remove_actor(name, render=False)
+            if np.any(chosen):
+                points = self._pyvista.PolyData(particles.position[chosen])
+                points["radius"] = particles.radius[chosen].astype(np.float32)
+                points["color"] = colors[chosen]
+                add(points, name, FAINT if faint else 1.0)
+
+    def _add_many(self, points: Any, name: str, opacity: float) -> None:
+        """Add spheres that a shader computes per pixel: fast, but clipped if a sphere fills much of the picture."""
+        from vtkmodules.vtkRenderingCore import vtkActor
+        from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLSphereMapper
+
+        mapper, actor = vtkOpenGLSphereMapper(), vtkActor()
+        mapper.SetInputData(points)
+        mapper.SetScaleArray("radius")
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("color")
+        mapper.SetColorModeToDirectScalars()
+        actor.SetMapper(mapper)
+        shade = actor.GetProperty()
+        shade.SetAmbient(SHADE["ambient"])
+        shade.SetDiffuse(SHADE["diffuse"])
+        shade.SetSpecular(SHADE["specular"])
+        shade.SetSpecularPower(SHADE["specular_power"])
+        shade.SetOpacity(opacity)
+        self._plotter.add_actor(actor, name=name, reset_camera=False, render=False)
+
+    def _add_near(self, points: Any, name: str, opacity: float) -> None:
+        """Add spheres of triangles, for the few that are large in the picture."""
+        sphere = self._pyvista.Sphere(radius=1.0, theta_resolution=FACETS, phi_resolution=FACETS)
+        spheres = points.glyph(scale="radius", geom=sphere, orient=False)
+        mesh_style = {"scalars": "color", "rgb": True, "smooth_shading": True, "opacity": opacity, **SHADE}
+        self._plotter.add_mesh(spheres, name=name, reset_camera=False, render=False, **mesh_style)
+
+    def set_walls(
+        self,
+        walls: FrameWalls | None,
+        box: np.ndarray | None,
+        plane_boxes: Mapping[int, np.ndarray],
+        cut: HalfSpace | None,
+    ) -> None:
+        """Show transparent walls with their edges, clipped to `box` (2, 3) [m] and to the half space `cut`.
+
+        `plane_boxes` (2, 3) [m]: boxes to which unbounded planes are clipped as well, by number. Walls that have not
+        moved since the last frame are kept.
+        """
+        if walls is not None and walls.same_as(self._walls):
+            return
+        self._walls = walls
+        for name in self._wall_actors:
+            self._plotter.remove_actor(name, render=False)
+        self._wall_actors = []
+        if walls is None:
+            return
+        self._add_wall("walls", walls.selected([k for k in walls.numbers if k not in plane_boxes]), [box], cut, WALL)
+        for number, plane_box in plane_boxes.items():
+            self._add_wall(f"plane {number}", walls.selected([number]), [box, plane_box], cut, PLANE)
+
+    def _add_wall(
+        self,
+        name: str,
+        walls: FrameWalls,
+        boxes: Sequence[np.ndarray | None],
+        cut: HalfSpace | None,
+        style: Mapping[str, Any],
+    ) -> None:
+        """Add walls and their edges, clipped to the boxes and the half space, as actors with a common `name`."""
+        if not walls.polygons:
+            return
+        surface = self._surface(walls)
+        for box in boxes:
+            surface = self._clipped(surface, box, cut)
+        edges = surface.extract_feature_edges(EDGE_ANGLE) if surface.n_cells else surface
+        for part, mesh, look in ((name, surface, style), (f"edges of {name}", edges, EDGE_STYLE)):
+            if mesh.n_cells:
+                self._plotter.add_mesh(mesh, name=part, reset_camera=False, render=False, **look)
+                self._wall_actors.append(part)
+
+    def set_chains(self, chains: ForceChains, thickness: np.ndarray, colors: np.ndarray) -> None:
+        """Show contacts as tubes of radius `thickness` (k,) [m] in `colors` (k, 3), 0 to 255."""
+        self._plotter.remove_actor("chains", render=False)
+        if not len(chains.ends):
+            return
+        count = len(chains.ends)
+        lines = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)])
+        mesh = self._pyvista.PolyData(chains.ends.reshape(-1, 3), lines=lines.ravel())
+        mesh["thickness"], mesh["color"] = np.repeat(thickness, 2), np.repeat(colors, 2, axis=0)
+        tubes = mesh.tube(scalars="thickness", absolute=True, n_sides=TUBE_SIDES, capping=True)
+        self._plotter.add_mesh(
+            tubes, scalars="color", rgb=True, name="chains", reset_camera=False, render=False, **SHADE
+        )
+
+    def _set_camera(self, camera: Camera) -> None:
+        vtk_camera = self._plotter.camera
+        vtk_camera.position, vtk_camera.focal_point, vtk_camera.up = camera.eye, camera.focus, camera.view.up
+        vtk_camera.view_angle = float(np.degrees(OPENING))
+        vtk_camera.parallel_scale = camera.half_height
+        vtk_camera.parallel_projection = not camera.view.perspective
+
+    def _surface(self, walls: FrameWalls) -> Any:
+        """Surface of the walls with merged points, so that edges between polygons are found."""
+        faces = [np.column_stack([np.full(len(each), each.shape[1]), each]).ravel() for each in walls.polygons]
+        return self._pyvista.PolyData(walls.points, np.concatenate(faces)).clean(
+            lines_to_points=False, polys_to_lines=False
+        )
+
+    @staticmethod
+    def _clipped(surface: Any, box: np.ndarray | None, cut: HalfSpace | None) -> Any:
+        """Part of a surface in the box and the half space."""
+        planes = [cut] if cut else []
+        if box is not None:
+            finite = np.isfinite(box).all(axis=0)
+            low, high = np.where(finite, box, 0.0)
+            margin = 1e-3 * (high - low)
+            planes += [HalfSpace(low - margin, -axis) for axis in np.eye(3)[finite]]
+            planes += [HalfSpace(high + margin, axis) for axis in np.eye(3)[finite]]
+        for plane in planes:
+            if surface.n_cells and not np.all(plane.contains(surface.points)):
+                surface = surface.clip(normal=plane.normal, origin=plane.point)
+        return surface
+
 
 HEIGHT = 1200
 """Height of a picture without a given size [pixels]."""
-
 FILM_HEIGHT = 900
 """Height of a film without a given size [pixels]."""
-
 ASPECTS = (0.5, 1.9)
 """Minimum and maximum width over height of a picture without a given size."""
-
 COLOR_FRAMES = 40
 """Maximum number of frames that determine the color range."""
-
 THICKEST, THINNEST = 0.5, 0.04
 """Radius of the tube of the largest force over the mean particle radius, and the smallest radius that is shown."""
-
 CHAIN_COLOR = "normal_force"
 """Array of contacts that determines color and thickness of force chains."""
 

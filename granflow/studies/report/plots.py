@@ -1,35 +1,111 @@
 """Interactive plots, drawn by plotly inside the page, without a network connection."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
+from itertools import takewhile
 from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from granflow.io.time_series import SeriesColumn, TimeSeriesTable
-from granflow.studies.figures import COLORS
-from granflow.studies.report.packed import deflated
-from granflow.studies.report.series import PlotGroup, thinned
+from granflow.io.tables import SeriesColumn, TimeSeriesTable
+from granflow.studies.page import COLORS
+from granflow.studies.report.view import deflated
+
+# Grouping of the columns of a time series into plots.
+
+MOST_POINTS = 800
+"""Maximum number of points of a curve; more are not distinguishable on a screen."""
+
+
+@dataclass(frozen=True)
+class PlotGroup:
+    """Columns of one unit in a common plot."""
+
+    title: str
+    unit: str
+    columns: tuple[SeriesColumn, ...]
+
+
+def groups_of(columns: Sequence[SeriesColumn]) -> list[PlotGroup]:
+    """Group columns of one unit by quantity, or by a common last or first word.
+
+    `flow_mass.a` and `flow_mass.b` are one quantity; `kinetic_energy` and `elastic_energy` share the last word,
+    `overlap_mean` and `overlap_largest` the first. The grouping depends on names and units only.
+    """
+    kinds: dict[tuple[str, str], list[SeriesColumn]] = {}
+    for column in columns:
+        kinds.setdefault((column.unit, _kind(column, columns)), []).append(column)
+    return [PlotGroup(common_title(members), unit, tuple(members)) for (unit, _), members in kinds.items()]
+
+
+def _kind(column: SeriesColumn, columns: Sequence[SeriesColumn]) -> str:
+    """Common property of a column and others of its unit: quantity, last word or first word; else its own name."""
+    quantity = column.name.partition(".")[0]
+    other_quantities = {other.name.partition(".")[0] for other in columns if other.unit == column.unit} - {quantity}
+    text = quantity.split("_")
+    if any(other.split("_")[-1] == text[-1] for other in other_quantities):
+        return text[-1]
+    if any(other.split("_")[0] == text[0] for other in other_quantities):
+        return text[0]
+    return quantity
+
+
+def common_title(members: Sequence[SeriesColumn]) -> str:
+    """Common first words of the quantities, or else common last words."""
+    if len(members) == 1:
+        return members[0].text
+    text = [column.name.partition(".")[0].split("_") for column in members]
+    begin = _common_prefix(text)
+    end = _common_prefix([list(reversed(each)) for each in text])
+    return " ".join(begin or reversed(end))
+
+
+def _common_prefix(text: Sequence[Sequence[str]]) -> list[str]:
+    """Common first words of all lists."""
+    columns = takewhile(lambda each: len(set(each)) == 1, zip(*text, strict=False))
+    return [each[0] for each in columns]
+
+
+def thinned(time: np.ndarray, values: np.ndarray, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Reduce a curve to at most `most` points, keeping all peaks: minimum and maximum of each interval.
+
+    `time`, `values` (n,); values that are not finite are dropped.
+    """
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) > most:
+        parts = np.array_split(finite[1:-1], most // 2 - 1)
+        ends = [part[extreme(values[part])] for part in parts for extreme in (np.argmin, np.argmax)]
+        finite = np.unique([finite[0], *ends, finite[-1]])
+    return time[finite], values[finite]
+
+
+def largest_of(column: SeriesColumn) -> float:
+    """Largest absolute value of a column; values that are not finite are ignored."""
+    return float(np.max(np.abs(column.values[np.isfinite(column.values)]), initial=0.0))
+
+
+def negligible_columns(columns: Sequence[SeriesColumn], share: float) -> list[SeriesColumn]:
+    """Columns whose largest absolute value is below `share` of that of all columns of the same unit."""
+    largest: dict[str, float] = {}
+    for column in columns:
+        largest[column.unit] = max(largest.get(column.unit, 0.0), largest_of(column))
+    return [column for column in columns if largest_of(column) < share * largest[column.unit]]
+
 
 DASHES = ("solid", "dash", "dot", "dashdot")
 """Line styles: one for each repetition of the colors, or for each quantity of parts."""
-
 DIGITS = 6
 """Significant digits of a number in the page."""
-
 AXIS = {"showline": True, "zeroline": False, "exponentformat": "SI"}
 """Style of axes in the format of plotly; the script of the page adds its colors, also to text and background."""
-
 HEIGHT = 340
 """Height of a plot without its legend [pixels]."""
-
 STANDOFF = 6
 """Distance of the title of the horizontal axis from its labels [pixels], so that it is above the legend."""
-
 LEGEND = {"orientation": "h", "x": 0, "y": -0.25, "yanchor": "top", "maxheight": 1.0}
 """Legend below the plot; the script of the page makes room for its rows."""
-
 STAGE_ROW, NEAR = 14, 0.1
 """Vertical offset [pixels] of a stage name that would overlap the previous one; distance as a fraction of the run."""
 

@@ -4,63 +4,299 @@ Positions and radii are integers: multiples of a fraction of the smallest radius
 displayed as colors have 8 bits.
 """
 
+import re
+import subprocess
+import sys
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import compress
 
 import numpy as np
 
 from granflow import Run, Scene
-from granflow.io.frame_reader import listed_frames
-from granflow.studies.figures import COLORS
-from granflow.studies.render.bounding_points import (
+from granflow.io.frames import is_empty, listed_frames
+from granflow.studies.page import COLORS
+from granflow.studies.render.frames import (
+    VIEWS,
+    Frame,
+    FrameParticles,
+    FrameWalls,
     bounding_points,
     domain_of,
     drawn_box,
+    frames_of,
     outermost_points,
     planes_of,
+    read_particles,
+    read_walls,
     sampled,
+    upward,
+    view_of,
 )
-from granflow.studies.render.camera import upward, view_of
-from granflow.studies.render.colors import CATEGORIES, SIGNED, Scale, scale_for, values_of
-from granflow.studies.render.frames import Frame, FrameParticles, FrameWalls, frames_of, read_particles, read_walls
-from granflow.studies.report.packed import PackedArrays
-from granflow.studies.report.pictures import filled_frames
-from granflow.studies.report.wall_geometry import geometry_of
+from granflow.studies.render.render import CATEGORIES, SIGNED, PictureStyle, Scale, picture_path, scale_for, values_of
 from granflow.visible_text import readable
+
+# Compressed data in a page: base64 text of deflated bytes, which the script of the page inflates.
+
+ALIGNMENT = 4
+"""Arrays begin at multiples of this number of bytes, as typed arrays of JavaScript require."""
+
+
+def deflated(data: bytes) -> str:
+    """Base64 text of the data in zlib format, `deflate` of DecompressionStream in a browser."""
+    return b64encode(compress(data, 9)).decode("ascii")
+
+
+class PackedArrays:
+    """Arrays one after the other, each content once."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._references: dict[tuple[str, bytes], dict[str, Any]] = {}
+        self._size = 0
+
+    def add(self, array: np.ndarray) -> dict[str, Any]:
+        """Append an array of unsigned integers; return its type in JavaScript, offset in bytes and length."""
+        content = (array.dtype.name, np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
+        if content not in self._references:
+            self._references[content] = {
+                "type": f"{array.dtype.name.capitalize()}Array",
+                "offset": self._size,
+                "length": array.size,
+            }
+            padded = content[1] + b"\0" * (-len(content[1]) % ALIGNMENT)
+            self._parts.append(padded)
+            self._size += len(padded)
+        return self._references[content]
+
+    def text(self) -> str:
+        """All arrays as compressed text."""
+        return deflated(b"".join(self._parts))
+
+
+# Pictures for the page: a few of the course of the run, rendered if necessary, and others from `granflow
+# render`.
+#
+# Pictures older than the last frame show another run and are not used.
+
+MOST_PICTURES = 6
+"""Maximum number of pictures in the page besides those of the course of the run."""
+SHOWN_FRAMES = 4
+"""Number of pictures of the course of the run: evenly spaced frames, including the last one."""
+HEIGHT = 800
+"""Height of a picture in the page [pixels]: twice its displayed size."""
+QUALITY = 85
+"""JPEG quality of embedded pictures, 0 to 100."""
+FILM_BYTES = 3_000_000
+"""Maximum size of an embedded film in bytes; larger films are referenced by name."""
+TIMEOUT = 600.0
+"""Time limit of rendering [s]."""
+NAME = re.compile(rf"(?:picture|film)_(.+?)_({'|'.join(VIEWS)}|from_[-+.e\d_]+?)(_cut)?(?:_(\d+))?")
+"""File names of granflow render: color, view, cut, frame number."""
+HOW_TO_ADD = "The files are in pictures/. To add pictures, run granflow render, then granflow report again."
+
+
+class Picture(NamedTuple):
+    """Image or film file, and its caption."""
+
+    path: Path
+    caption: str
+
+
+class CoursePicture(NamedTuple):
+    """Picture of the course of a run: frame, style, and file in `pictures/`."""
+
+    frame: Frame
+    style: PictureStyle
+    path: Path = Path()
+
+
+class RunPictures(NamedTuple):
+    """Pictures and films of the page, and a sentence about them."""
+
+    shown: Sequence[Picture]
+    statement: str
+
+
+def pictures_for(directory: Path, scratch: Path) -> RunPictures:
+    """Pictures and films for the page, scaled down in `scratch`, and a sentence about them.
+
+    First those of the course of the run, rendered if they are not newer than its last frame; then at most MOST_PICTURES
+    others and one film of at most FILM_BYTES. Raises GranflowError if the list of frames is damaged.
+    """
+    if not listed_frames(directory, "particles"):
+        return RunPictures((), "The run has no frames to render.")
+    frames = frames_of(directory)
+    course = course_pictures(directory, frames)
+    problem = render(directory, course, recent_pictures(directory, frames))
+    found = recent_pictures(directory, frames)
+    images = [each.path for each in course if each.path in found]
+    images += [path for path in found if path.suffix == ".png" and path not in images][-MOST_PICTURES:]
+    films = [path for path in found if path.suffix == ".mp4"]
+    small = [path for path in films if path.stat().st_size <= FILM_BYTES][-1:]
+    large = [f"pictures/{path.name}" for path in films if path not in small]
+    shown = [Picture(path, _caption(path, frames)) for path in small]
+    shown += [Picture(reduced(path, scratch), _caption(path, frames)) for path in images]
+    omitted_films = f" Animations not embedded: {', '.join(large)}." if large else ""
+    return RunPictures(shown, (problem or HOW_TO_ADD) + omitted_films)
+
+
+def recent_pictures(directory: Path, frames: Sequence[Frame]) -> list[Path]:
+    """PNG and MP4 files in `pictures/` that are newer than the last frame, sorted by name."""
+    last = frames[-1].particles.stat().st_mtime
+    found = [*(directory / "pictures").glob("*.png"), *(directory / "pictures").glob("*.mp4")]
+    return sorted(path for path in found if path.stat().st_mtime >= last)
+
+
+def filled_frames(frames: Sequence[Frame]) -> Sequence[Frame]:
+    """Frames with particles; all frames if none has."""
+    return [frame for frame in frames if not is_empty(frame.particles)] or frames
+
+
+def course_pictures(directory: Path, frames: Sequence[Frame]) -> list[CoursePicture]:
+    """Pictures of the course of a run: evenly spaced frames with particles, and the one with the most contacts."""
+    filled = filled_frames(frames)
+    indices = np.unique(np.linspace(0, len(filled) - 1, SHOWN_FRAMES + 1).astype(int)[1:])
+    chosen = [filled[index] for index in indices]
+    found = [CoursePicture(frame, PictureStyle()) for frame in chosen]
+    with_contacts = [frame for frame in chosen if frame.contacts is not None and not is_empty(frame.contacts)]
+    if with_contacts:
+        most = max(with_contacts, key=lambda frame: frame.contacts.stat().st_size if frame.contacts else 0)
+        found.append(CoursePicture(most, PictureStyle(chains=True)))
+    return [each._replace(path=picture_path(directory, each.style, each.frame)) for each in found]
+
+
+def render(directory: Path, course: Sequence[CoursePicture], present: Sequence[Path]) -> str:
+    """Render the pictures that are not `present` in a subprocess, because VTK aborts if it cannot render.
+
+    Returns an error message or "". The time limit is TIMEOUT for each command.
+    """
+    missing = [each for each in course if each.path not in present]
+    if missing and find_spec("pyvista") is None:
+        return "No pictures of the course of the run, because pyvista is not installed: pip install pyvista matplotlib"
+    for chains in (False, True):
+        numbers = ",".join(str(each.frame.number) for each in missing if each.style.chains == chains)
+        if not numbers:
+            continue
+        command = [sys.executable, "-m", "granflow", "render", str(directory), "--frame", numbers]
+        command += ["--chains"] if chains else []
+        try:
+            completed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
+        except subprocess.TimeoutExpired:
+            return f"No pictures: rendering took longer than {TIMEOUT:.0f} s."
+        if completed.returncode:
+            statement = (completed.stderr.strip().splitlines() or ["no message"])[-1]
+            return f"Rendering failed (granflow render, exit code {completed.returncode}): {statement}"
+    return ""
+
+
+def reduced(path: Path, scratch: Path) -> Path:
+    """The picture as JPEG of HEIGHT pixels; unchanged if Pillow is not installed."""
+    try:
+        from PIL import Image
+    except ImportError:
+        return path
+    with Image.open(path) as image:
+        size = (max(1, round(image.width * HEIGHT / image.height)), HEIGHT)
+        jpeg = scratch / f"{path.stem}.jpg"
+        image.convert("RGB").resize(size, Image.Resampling.LANCZOS).save(jpeg, quality=QUALITY, optimize=True)
+    return jpeg
+
+
+def _caption(path: Path, frames: Sequence[Frame]) -> str:
+    """Caption of a file of `granflow render`, from its name."""
+    match = NAME.fullmatch(path.stem)
+    if match is None:
+        return path.stem.replace("_", " ")
+    color, view, cut, number = match.groups()
+    times = [f"{frame.time:.4g} s" for frame in frames if number and frame.number == int(number)]
+    return ", ".join([color.replace("_", " "), view.replace("_", " "), *(["cut"] if cut else []), *times]) + "."
+
+
+# Triangles and visible edges of walls for the 3D view.
+
+EDGE_ANGLE = np.radians(25.0)
+"""Angle between two facets of a wall above which their edge is drawn [rad]."""
+
+
+class WallGeometry(NamedTuple):
+    """Points (m, 3) [m], triangles (k, 3) and edges (e, 2) as indices of points."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    edges: np.ndarray
+
+
+def geometry_of(walls: FrameWalls) -> WallGeometry:
+    """Triangles of all polygons, with equal points merged, and the edges at their borders and sharp bends.
+
+    The walls have at least one polygon.
+    """
+    corners = np.concatenate([np.zeros(0, np.int64), *(each.ravel() for each in walls.polygons)])
+    points, index = np.unique(walls.points[corners].astype(np.float32), axis=0, return_inverse=True)
+    ends = np.cumsum([each.size for each in walls.polygons])
+    parts = np.split(index.reshape(-1), ends[:-1])
+    polygons = [_with_area(part.reshape(each.shape)) for part, each in zip(parts, walls.polygons, strict=True)]
+    fans = [each[:, [0, k, k + 1]] for each in polygons for k in range(1, each.shape[1] - 1)]
+    sides = [each[:, [k, (k + 1) % each.shape[1]]] for each in polygons for k in range(each.shape[1])]
+    normals = [_normals(points, each) for each in polygons for _ in range(each.shape[1])]
+    return WallGeometry(points, np.concatenate(fans), _sharp_edges(np.concatenate(sides), np.concatenate(normals)))
+
+
+def _with_area(polygons: np.ndarray) -> np.ndarray:
+    """The polygons (k, n) with at least three different corners; a disc without a hole has others at its center."""
+    found: np.ndarray = polygons[np.array([len(set(each)) > 2 for each in polygons.tolist()], dtype=bool)]
+    return found
+
+
+def _normals(points: np.ndarray, polygons: np.ndarray) -> np.ndarray:
+    """Unit normals (k, 3) of polygons (k, n); zero for a polygon without area."""
+    corners = points[polygons].astype(np.float64)
+    corners -= corners[:, :1]
+    normal = np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1)  # twice the area, also with equal corners
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def _sharp_edges(sides: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Edges (e, 2) of sides (s, 2) of polygons with their normals (s, 3): borders, and bends above EDGE_ANGLE.
+
+    The winding of polygons is arbitrary, so that the sign of a normal does not matter.
+    """
+    sides = np.sort(sides, axis=1)
+    order = np.lexsort((sides[:, 1], sides[:, 0]))
+    sides, normals = sides[order], normals[order]
+    repeats = np.all(sides[1:] == sides[:-1], axis=1)
+    is_flat = repeats & (np.abs(np.sum(normals[1:] * normals[:-1], axis=1)) > np.cos(EDGE_ANGLE))
+    hidden = np.append(is_flat, False) | np.append(False, is_flat)
+    edges: np.ndarray = np.unique(sides[~hidden & (sides[:, 0] != sides[:, 1])], axis=0)
+    return edges
+
 
 MOST_PARTICLES = 100_000
 """Maximum number of particles in a frame of the view; of more, every second, third, ... is shown."""
-
 PARTICLE_FRAMES = 240_000
 """Number of particles in all frames together above which fewer frames are in the view: about 3 MB."""
-
 FEWEST_FRAMES, MOST_FRAMES = 3, 40
 """Smallest and largest number of frames in the view."""
-
 MOST_COLORS = 4
 """Maximum number of quantities that can be displayed as colors."""
-
 FIRST_COLORS = (*reversed(CATEGORIES), "velocity", "coordination_number", "diameter", "angular_velocity", "force")
 """Quantities in the order of the menu, before the others of the frames."""
-
 NO_COLORS = ("id", "radius", "wall_contact_count", "kinetic_energy")
 """Arrays of a frame that the menu omits."""
-
 MOST_WALL_POINTS = 200_000
 """Maximum number of points of the walls in all frames; walls with more are in none."""
-
 PER_RADIUS = 64
 """Resolution of positions and radii: this fraction of the smallest radius, if 16 bits suffice."""
-
 LARGEST_INTEGER = 65535
 """Largest integer of 16 bits."""
-
 LARGEST_COLOR = 255
 """Integer of the upper limit of a color scale."""
-
 UNSIGNED_PALETTE = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
 """Colors of matplotlib's `viridis` at equal distances."""
-
 SIGNED_PALETTE = ("#053061", "#327cb7", "#90c4dd", "#e1edf3", "#f7f7f7", "#fae7dc", "#f7b799", "#ca4842", "#67001f")
 """Colors of matplotlib's `RdBu_r` at nearly equal distances."""
 

@@ -1,24 +1,200 @@
 """Output of the stability study: `stability.csv`, heat map and page."""
 
+import multiprocessing
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
+from math import nan
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from granflow.studies.page import write_study
-from granflow.studies.stability.case_families import BOUNDS, MANY, SIZES, STEPS, STIFFNESS, UNEQUAL, all_cases
-from granflow.studies.stability.cases import ACCURATE, SILENT_LIMIT, CaseOutcome
-from granflow.studies.stability.heatmap import heatmap
-from granflow.studies.stability.worker_pool import Report, run_cases
-from granflow.studies.tables import PageTable, attribute_columns, percent
+from granflow import start
+from granflow.studies.page import FULL_WIDTH, Drawing, PageTable, attribute_columns, percent, write_study
+from granflow.studies.stability.cases import (
+    ACCURATE,
+    BOUNDS,
+    MANY,
+    SILENT_LIMIT,
+    SIZES,
+    STEPS,
+    STIFFNESS,
+    UNEQUAL,
+    CaseOutcome,
+    CaseResult,
+    StabilityCase,
+    all_cases,
+    case_outcome,
+    run_case,
+)
+
+# Heat map: one grid per family, one cell per case, colored by assessment and error.
+#
+# Requires the extra `plot`.
+
+SMALLEST, LARGEST = 1e-5, 1.0
+"""Range of errors of the color scale."""
+REFUSED, DEFECT = (0.85, 0.85, 0.87), (0.80, 0.05, 0.10)
+"""Colors of refused cases and of defects (red, green, blue; 0 to 1)."""
+GREENS, OCHRES = "YlGn_r", "YlOrBr"
+"""Color maps of accurate cases and of cases with an error."""
+PANELS = ((STEPS, STEPS), (STIFFNESS, SIZES), (STIFFNESS, UNEQUAL), (MANY, MANY), (BOUNDS, BOUNDS))
+"""Families by row of the figure; a repeated family spans two columns."""
+HEIGHTS = (3.4, 1.3, 1.3, 1.6, 4.2)
+"""Relative heights of the rows of panels."""
+TITLES = {
+    STEPS: "Target restitution (rows) against time step over the largest permitted one (columns)",
+    STIFFNESS: "Young's modulus and impact velocity, Eq. 12",
+    SIZES: "Size and precision",
+    UNEQUAL: "Unequal partners",
+    MANY: "Many particles, three contact models",
+    BOUNDS: "Measured stability limit of the time step over the limit of the check (required: 1 to 2)",
+}
+"""Titles of the panels by family."""
+
+
+def heatmap(outcomes: Sequence[CaseOutcome]) -> Drawing:
+    """Drawing of all families."""
+    return Drawing(lambda figure: _draw(figure, outcomes), 8.6, FULL_WIDTH)
+
+
+def _draw(figure: Any, outcomes: Sequence[CaseOutcome]) -> None:
+    """Draw one panel per family, and the legend."""
+    from matplotlib.patches import Patch
+
+    axes = figure.subplot_mosaic([list(row) for row in PANELS], height_ratios=HEIGHTS)
+    for family, axis in axes.items():
+        _panel(axis, [each for each in outcomes if each.family == family])
+        axis.set_title(TITLES[family])
+    colors = [(_color("accurate", 1e-4), "within 1 %"), (_color("error", 0.1), "stable, error reported")]
+    colors += [(REFUSED, "refused with a message"), (DEFECT, "defect")]
+    patches = [Patch(facecolor=color, edgecolor="0.4", linewidth=0.4, label=label) for color, label in colors]
+    figure.legend(handles=patches, loc="outside lower center", ncols=4)
+
+
+def _panel(axis: Any, outcomes: Sequence[CaseOutcome]) -> None:
+    """Draw the grid of one family with one cell per case."""
+    rows = list(dict.fromkeys(each.row for each in outcomes))
+    columns = list(dict.fromkeys(each.column for each in outcomes))
+    colors = np.ones((max(len(rows), 1), max(len(columns), 1), 3))
+    for each in outcomes:
+        cell = rows.index(each.row), columns.index(each.column)
+        colors[cell] = _color(each.kind, each.error)
+        axis.text(cell[1], cell[0], _cell_text(each), ha="center", va="center", fontsize=5.5)
+    axis.imshow(colors, aspect="auto", interpolation="nearest")
+    axis.set_xticks(range(len(columns)), [_split(column) for column in columns], fontsize=5.5)
+    axis.set_yticks(range(len(rows)), rows, fontsize=6.0)
+    axis.minorticks_off()
+    axis.tick_params(length=0.0)
+
+
+def _split(label: str) -> str:
+    """Split a long label into two lines."""
+    words, middle = label.split(" "), len(label) // 2
+    if len(label) < 12 or len(words) == 1:
+        return label
+    cuts = range(1, len(words))
+    cut = min(cuts, key=lambda n: abs(len(" ".join(words[:n])) - middle))
+    return " ".join(words[:cut]) + "\n" + " ".join(words[cut:])
+
+
+def _cell_text(each: CaseOutcome) -> str:
+    """Text of a cell: ratio of stability limits, error, or kind of assessment."""
+    if each.kind == "refused" or not np.isfinite(each.error):
+        return each.kind
+    return f"{each.reached:.2f}" if each.family == BOUNDS else percent(each.error)
+
+
+def _color(kind: str, error: float) -> Any:
+    """Color of a cell by kind of assessment and error."""
+    from matplotlib import colormaps
+
+    if kind in ("refused", "defect"):
+        return REFUSED if kind == "refused" else DEFECT
+    share = np.log(np.clip(error, SMALLEST, LARGEST) / SMALLEST) / np.log(LARGEST / SMALLEST)
+    if kind == "accurate":
+        return colormaps[GREENS](0.45 + 0.5 * share)[:3]
+    return colormaps[OCHRES](0.7 * share - 0.2)[:3]
+
+
+# Worker pool of the stability study: two processes with one Taichi start each, and a time limit per case.
+
+WORKER_COUNT = 2
+"""Number of processes."""
+TIMEOUT = 180.0
+"""Time limit per case [s]."""
+Report = Callable[[CaseOutcome], None]
+"""Function that receives each outcome."""
+
+
+def run_cases(cases: Sequence[StabilityCase], report: Report, timeout: float = TIMEOUT) -> list[CaseOutcome]:
+    """Outcomes of all cases, in the order of the cases; `report` receives each outcome on completion.
+
+    Cases of one family and precision run in one process and share cached results. `timeout` [s] applies to each case. A
+    crash or timeout is a defect of its case and does not end the study.
+    """
+    with ThreadPoolExecutor(WORKER_COUNT) as executor:
+        parts = executor.map(lambda batch: _run_batch(batch, report, timeout), _batches(cases))
+        found = {(each.family, each.row, each.column): each for part in parts for each in part}
+    return [found[case.family, case.row, case.column] for case in cases]
+
+
+def _batches(cases: Sequence[StabilityCase]) -> list[list[StabilityCase]]:
+    """Batches of cases with equal family and precision."""
+    batches: dict[tuple[str, str], list[StabilityCase]] = {}
+    for case in cases:
+        batches.setdefault((case.family, case.precision), []).append(case)
+    return list(batches.values())
+
+
+def _run_batch(batch: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
+    """Run the cases of a batch; after a timeout or a crash the remaining cases run in a new process."""
+    found: list[CaseOutcome] = []
+    while len(found) < len(batch):
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_run_in_worker, args=(there, batch[len(found) :]), daemon=True)
+        process.start()
+        there.close()
+        found += _receive(here, batch[len(found) :], report, timeout)
+        process.kill()
+        process.join()
+    return found
+
+
+def _receive(pipe: Connection, cases: list[StabilityCase], report: Report, timeout: float) -> list[CaseOutcome]:
+    """Receive outcomes up to the first case without a result."""
+    found: list[CaseOutcome] = []
+    for case in cases:
+        reason = ""
+        if not pipe.poll(timeout):
+            reason = f"not finished in {timeout:g} s"
+        else:
+            try:
+                found.append(pipe.recv())
+            except EOFError:
+                reason = "the process ended without a result"
+        if reason:
+            found.append(case_outcome(case, CaseResult("", nan, nan, nan, nan), timeout, "defect", f"defect: {reason}"))
+        report(found[-1])
+        if reason:
+            break
+    return found
+
+
+def _run_in_worker(pipe: Any, cases: Sequence[StabilityCase]) -> None:
+    """Worker process: start Taichi, run the cases and send each outcome."""
+    start("cpu", cases[0].precision, 1)  # type: ignore[arg-type]
+    for case in cases:
+        pipe.send(run_case(case))
+
 
 PAGE = "stability.html"
 HEADS = ("family", "cases", "accurate", "error reported", "refused", "defects", "largest error")
 """Column headings of `summary_rows`."""
-
-
 EXPLANATIONS = {
     STEPS: "Pairs of particles (E 100 MPa, diameter 2 mm, 1 m/s) collide head-on with Zhou's contact model for each "
     "target restitution, at time steps from 1 % to 500 % of the largest permitted one. The limit of the unloading "

@@ -4,15 +4,181 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from math import ulp
-from typing import Any, NamedTuple
+from math import prod, ulp
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field, Tag
 from scipy.stats import qmc
 
-from granflow.scene.schema.given_numbers import in_si
-from granflow.studies.run_processes.settings import si_value
-from granflow.studies.sweep.schema import Grid, LatinHypercube, SobolSampling, SweepInput, ValueList, ValueRange
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.scene import Seed
+from granflow.scene.model import FileName, ListOf, Model, Text, choose_by, choose_by_key, shorthand
+from granflow.studies.run_process import si_value
+from granflow.units import Fault, GivenQuantity, Number, bound_faults, in_si, missing, mixed_units, whole
+
+# Schema of sweep files.
+
+MOST_RUNS = 100_000
+"""Largest number of runs of a sweep. Each is checked before the first one begins, which takes some milliseconds."""
+Keys = Annotated[tuple[Text, ...], ListOf(one=True, some="[walls.plug.radius, walls.floor.hole_radius]")]
+AnyValues = Annotated[tuple[Any, ...], ListOf(some="[0.1, 0.3, 0.5]")]
+SeedCount = Annotated[int, Number(noun="a number of seeds", at_least=1, at_most=1000, whole=True)]
+
+
+class ValueRange(Model):
+    """Values of a parameter between two bounds, evenly spaced or on a logarithmic scale."""
+
+    start: GivenQuantity = Field(alias="from", description="lower bound")
+    stop: GivenQuantity = Field(alias="to", description="upper bound")
+    count: q.Count | None = Field(None, description="number of values, both bounds included; only in a grid")
+    scale: Literal["linear", "log"] = Field("linear", description="spacing of the values: linear or log")
+    keys: Keys | None = Field(None, description="keys of the scene that get the value; default: the parameter name")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the upper bound is larger, both have one unit, and those of a logarithm are positive."""
+        yield from bound_faults(self.start, self.stop, self.scale)
+
+
+class ValueList(Model):
+    """Listed values of a parameter, and values of other keys that change with it."""
+
+    values: AnyValues = Field(description="values of the parameter")
+    keys: Keys | None = Field(None, description="keys of the scene that get the value; default: the parameter name")
+    along: dict[Text, AnyValues] = Field(
+        {}, alias="with", description="other keys of the scene, each with one value for each value of the parameter"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for values of different dimensions, and for each list of other values of another length."""
+        if reason := mixed_units(self.values):
+            yield Fault(("values",), reason)
+        for key, values in self.along.items():
+            if len(values) != len(self.values):
+                needed = f"it needs {len(self.values)} values, one for each value of the parameter"
+                yield Fault(("with", key), f"this list has {len(values)} values; {needed}")
+
+
+def _form(value: Any) -> str | None:
+    """Tag of the form in which a parameter is given."""
+    if isinstance(value, list | tuple):
+        return "<list>"
+    if isinstance(value, ValueRange | ValueList):
+        return "<from>" if isinstance(value, ValueRange) else "<values>"
+    if isinstance(value, Mapping):
+        return "<values>" if "values" in value else "<from>"
+    return None
+
+
+Variation = Annotated[
+    Annotated[AnyValues, Tag("<list>")] | Annotated[ValueRange, Tag("<from>")] | Annotated[ValueList, Tag("<values>")],
+    choose_by(_form, "a list of values or a range is expected, such as {from: 0.1, to: 0.7, count: 7}"),
+]
+
+
+class Grid(Model):
+    """All combinations of the values."""
+
+    kind: Literal["grid"] = "grid"
+
+
+class LatinHypercube(Model):
+    """Points of a Latin hypercube: each parameter has one value in each of `count` equal intervals."""
+
+    kind: Literal["latin_hypercube"]
+    count: q.Count = Field(description="number of points")
+    seed: Seed = Field(1, description="seed of the sampling")
+
+
+class SobolSampling(Model):
+    """Saltelli's design on a Sobol sequence, for sensitivity indices: count (d + 2) points for d parameters."""
+
+    kind: Literal["sobol"]
+    count: q.Count = Field(description="number of base points, a power of 2")
+    seed: Seed = Field(1, description="seed of the scrambling of the sequence")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the number of base points is a power of 2."""
+        if self.count & (self.count - 1):
+            below = 1 << (self.count.bit_length() - 1)
+            yield Fault(
+                ("count",), f"a Sobol sequence is balanced for powers of 2 only, such as {below} or {2 * below}"
+            )
+
+
+Sampling = Annotated[Grid | LatinHypercube | SobolSampling, choose_by_key("kind"), shorthand("kind")]
+
+
+class Repeat(Model):
+    """Repetition of each point with other random numbers."""
+
+    seeds: SeedCount = Field(description="number of runs of each point, with the seed of the scene and those after it")
+
+
+class SweepInput(Model):
+    """A sweep: a scene, the parameters that vary, and the numbers to read from each run."""
+
+    title: Text | None = Field(None, description="title of the sweep, one line")
+    description: Text | None = Field(None, description="description of the sweep and its expected result")
+    scene: FileName = Field(description="scene file, relative to the folder of this file")
+    settings: dict[Text, Any] = Field({}, alias="set", description="values of other keys of the scene in all runs")
+    vary: dict[Text, Variation] = Field(description="values of each parameter; its name is a key path of the scene")
+    sampling: Sampling = Field(Grid(), description="grid, latin_hypercube or sobol")
+    repeat: Repeat = Field(Repeat(seeds=1), description="repetition of each point with other seeds")
+    read: Annotated[tuple[Text, ...], ListOf(one=True, some="[mass_flow.outlet]")] = Field(
+        description="numbers of the result to read, as in the expect block of a scene"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield faults between the parts: counts that are missing or have no effect, keys given twice."""
+        if not self.vary:
+            yield missing(("vary",), "at least one parameter, such as pairs.glass-glass.friction: [0.1, 0.3, 0.5]")
+        gridded = isinstance(self.sampling, Grid)
+        for name, variation in self.vary.items():
+            if isinstance(variation, tuple) and (reason := mixed_units(variation)):
+                yield Fault(("vary", name), reason)
+            if not isinstance(variation, ValueRange):
+                continue
+            if gridded and variation.count is None:
+                yield missing(("vary", name, "count"), "the number of values of this parameter in the grid")
+            if not gridded and variation.count is not None:
+                yield whole(("vary", name, "count"), "has no effect: sampling.count is the number of points; remove it")
+        yield from self._repeated_keys()
+        if self.run_count > MOST_RUNS:
+            path = ("vary",) if gridded else ("sampling", "count")
+            yield whole(path, f"gives {self.run_count} runs, but a sweep has at most {MOST_RUNS}; give fewer values")
+
+    @property
+    def run_count(self) -> int:
+        """Number of points times seeds."""
+        if isinstance(self.sampling, Grid):
+            return prod(map(_value_count, self.vary.values())) * self.repeat.seeds
+        designs = len(self.vary) + 2 if isinstance(self.sampling, SobolSampling) else 1
+        return self.sampling.count * designs * self.repeat.seeds
+
+    def _repeated_keys(self) -> Iterator[Fault]:
+        """Faults of keys of the scene that several entries set."""
+        seen: dict[str, str] = dict.fromkeys(self.settings, "set")
+        for name, variation in self.vary.items():
+            for key in keys_of(name, variation):
+                if key in seen:
+                    yield whole(("vary", name), f"sets {key}, which {seen[key]} sets too; keep one of them")
+                seen[key] = f"vary.{name}"
+        if self.repeat.seeds > 1 and "seed" in seen:
+            yield whole(("repeat",), f"changes the seed, which {seen['seed']} sets too; keep one of them")
+
+
+def _value_count(variation: Any) -> int:
+    """Number of values of a parameter in a grid."""
+    if isinstance(variation, ValueRange):
+        return variation.count or 1
+    return len(variation.values if isinstance(variation, ValueList) else variation)
+
+
+def keys_of(name: str, variation: Any) -> tuple[str, ...]:
+    """Keys of the scene that a parameter sets, those in `with` last."""
+    own = (not isinstance(variation, tuple) and variation.keys) or (name,)
+    return (*own, *(variation.along if isinstance(variation, ValueList) else ()))
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,171 @@
 """`granflow.sweep`: a sweep from Python."""
 
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
-from granflow.arguments import path_of, whole_number
-from granflow.errors import GranflowError
-from granflow.studies.run_processes.executors import Workers
-from granflow.studies.sweep.run import read_sweep, run_sweep
+from granflow.arguments import path_of, refuse_other, whole_number
+from granflow.errors import FileError, GranflowError, SceneError
+from granflow.io.files import locked
+from granflow.scene.validated_file import validated_file, validated_mapping
+from granflow.studies.run_pool import Driver, Progress, Report, Workers, executor_for
+from granflow.studies.run_process import CheckedRun, Outcome, RunSettings, checked_run, naming_write_errors, relocated
+from granflow.studies.sweep.design import DesignPoint, SweepInput, design_points, keys_of
+from granflow.studies.sweep.page import write_sweep_page
+from granflow.studies.sweep.table import SweepTable, run_texts, shown, table_of, write_tables
+
+# Runs a sweep: checks all points, carries out the missing runs, and writes tables and page.
+
+STOP_FILE = ".stop"
+"""File in the directory of a sweep whose presence stops its runs."""
+TABLE_INTERVAL = 10.0
+"""Shortest time [s] between two updates of the tables during the runs."""
+CHECK_REPORT = 5.0
+"""Time [s] between two reports while the points are checked."""
+REMEDY = "The runs that have ended are kept: correct this, and repeat the command."
+"""Sentence on an error of a file."""
+Points = Sequence[tuple[DesignPoint, Sequence[CheckedRun | str]]]
+"""Each point with its runs, or the reasons why these are refused."""
+
+
+class SweepStopped(GranflowError):
+    """A stop was requested while the points were checked; no file was changed."""
+
+
+@dataclass(frozen=True)
+class SweepFile:
+    """A valid sweep: its content, the scene file, its name, and positions in the sweep file.
+
+    `positions`: of each varied or set key of the scene; `read`: of each number that is read.
+    """
+
+    content: SweepInput
+    scene: Path
+    name: str
+    positions: Mapping[str, str] = field(default_factory=dict)
+    read: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_sweep(source: str | os.PathLike[str] | Mapping[str, Any]) -> SweepFile:
+    """Read a sweep from a YAML file, or from a mapping with the same keys.
+
+    The path of the scene is relative to the folder of the file, or to the present one. Raises FileError with all
+    problems.
+    """
+    refuse_other("source", source, (str, os.PathLike, Mapping), "the path of a file, or a mapping with its keys")
+    if isinstance(source, Mapping):
+        content, document = validated_mapping(source, SweepInput)
+        folder, name = Path(), "sweep"
+    else:
+        content, document = validated_file(Path(source), SweepInput, "sweep")
+        folder, name = Path(source).parent, Path(source).stem
+    scene = folder / content.scene
+    if not scene.is_file():
+        position = document.value_position(("scene",))
+        raise FileError(f"{position}: scene is {content.scene}, but there is no file {scene}.")
+    positions = {key: str(document.key_position(("set", key))) for key in content.settings}
+    for parameter, variation in content.vary.items():
+        positions |= dict.fromkeys(keys_of(parameter, variation), str(document.key_position(("vary", parameter))))
+    read = {each: str(document.value_position(("read", k))) for k, each in enumerate(content.read)}
+    return SweepFile(content, scene, name, positions, read)
+
+
+def checked_points(
+    sweep: SweepFile,
+    common: RunSettings,
+    is_stopping: Callable[[], bool] = lambda: False,
+    announce: Callable[[str], None] = lambda _: None,
+) -> Points:
+    """All points with their checked runs, one for each seed; a reason in place of a refused run.
+
+    `announce` receives a line each CHECK_REPORT. Raises FileError if every run is refused, with the different reasons,
+    at their positions in the sweep file, and SweepStopped as soon as `is_stopping` returns True.
+    """
+    points = design_points(sweep.content)
+    found: list[tuple[DesignPoint, Sequence[CheckedRun | str]]] = []
+    told = time.monotonic()
+    for number, point in enumerate(points):
+        checked = []
+        for offset in range(sweep.content.repeat.seeds):
+            if is_stopping():
+                raise SweepStopped(f"stopped: {number} of {len(points)} points are checked, and no run has begun.")
+            checked.append(_checked(sweep, point, common, offset))
+        found.append((point, checked))
+        if time.monotonic() - told > CHECK_REPORT:
+            told = time.monotonic()
+            announce(f"{number + 1} of {len(points)} points are checked")
+    runs = [run for _, each in found for run in each]
+    if all(isinstance(run, str) for run in runs):
+        raise FileError(list(dict.fromkeys(str(run) for run in runs)))
+    return found
+
+
+def _checked(sweep: SweepFile, point: DesignPoint, common: RunSettings, seed_offset: int) -> CheckedRun | str:
+    """A checked run, or the reason why it is refused."""
+    try:
+        return checked_run(sweep.scene, point.settings, sweep.read, common, seed_offset)
+    except SceneError as error:
+        return " ".join(relocated(error, sweep.positions).problems)
+    except GranflowError as error:
+        return str(error)
+
+
+def run_sweep(
+    sweep: SweepFile,
+    out: Path,
+    workers: Workers,
+    arch: str = "cpu",
+    stop: Event | None = None,
+    report: Report = lambda *_: None,
+    announce: Callable[[str], None] = lambda _: None,
+) -> SweepTable:
+    """Carry out the runs of a sweep that have not ended, and write `sweep.csv`, `runs.csv` and `sweep.html`.
+
+    `stop`: stops all runs, each with a checkpoint, when it is set; `report` receives the progress of the runs,
+    `announce` lines before them. Raises GranflowError if the sweep or the workers are not valid, or if another process
+    runs a sweep in `out`, SweepStopped for a stop before the first run, OutputError for files that cannot be written.
+    """
+    stop = stop or Event()
+    with naming_write_errors(out, REMEDY), locked(out):
+        common = RunSettings(out / "runs", workers.threads, arch, out / STOP_FILE)
+        common.stop_file.unlink(missing_ok=True)
+        points = checked_points(sweep, common, stop.is_set, announce)
+        runs = [run for _, each in points for run in each if isinstance(run, CheckedRun)]
+        names = (tuple(sweep.content.vary), sweep.content.read)
+        with executor_for(workers) as (executor, slots):
+            updates = _Updates(out, lambda outcomes: table_of(*names, points, outcomes), report)
+            texts = run_texts(shown(sweep.content, table_of(*names, points, {})))
+            driver = Driver(executor, slots, stop, updates.report, texts)
+            updates.outcomes = driver.outcomes
+            try:
+                driver.run(runs)
+            finally:
+                table = table_of(*names, points, driver.outcomes)
+                write_tables(out, table)
+        write_sweep_page(out, sweep.content, table)
+        return table
+
+
+class _Updates:
+    """Updates the tables during the runs, at most every TABLE_INTERVAL."""
+
+    def __init__(self, out: Path, table: Callable[[Mapping[str, Outcome]], SweepTable], report: Report) -> None:
+        self._out, self._table, self._report = out, table, report
+        self._written = time.monotonic()
+        self.outcomes: Mapping[str, Outcome] = {}
+
+    def report(self, progress: Progress, event: str) -> None:
+        """Report the progress, and write the tables if they are old."""
+        self._report(progress, event)
+        if time.monotonic() - self._written > TABLE_INTERVAL:
+            with suppress(OSError):  # a full disk is reported at the end, when the runs have ended in an orderly way
+                write_tables(self._out, self._table(self.outcomes))
+            self._written = time.monotonic()
 
 
 def sweep(

@@ -9,21 +9,83 @@ from typing import Any
 import numpy as np
 
 from granflow.fields import unit_of
-from granflow.io.atomic_files import replacing
+from granflow.io.files import replacing
 from granflow.io.tables import write_table
-from granflow.studies.run_processes.checked import CheckedRun
-from granflow.studies.run_processes.outcome import (
+from granflow.studies.report.plots import AXIS, LEGEND, STANDOFF, escaped
+from granflow.studies.run_process import (
     DONE,
     REFUSED,
     UNFINISHED,
+    CheckedRun,
     Outcome,
+    error_name,
     numbers_of,
     reason_without,
     warnings_of,
     worst,
 )
-from granflow.studies.run_processes.quantities import error_name
-from granflow.studies.sweep.design import DesignPoint
+from granflow.studies.sweep.design import DesignPoint, SweepInput, ValueList, ValueRange
+from granflow.units import common_unit, in_unit
+from granflow.visible_text import distinct_endings
+
+# Layout and parts that the interactive plots of sweeps and calibrations share, in the format of plotly.
+
+FONT = {"family": "system-ui, sans-serif", "size": 13}
+COLOR_SCALE = "Viridis"
+CELL_WIDTH, GAP = 1.0, 0.28
+"""Width of a plot in a row of plots, and of the gap between two, in the same unit."""
+
+
+def layout(height: int, **more: Any) -> dict[str, Any]:
+    """Layout of a plot with the style of all pages; `height` [pixels]."""
+    return {
+        "height": height, "margin": {"l": 70, "r": 20, "t": 30, "b": 55}, "font": FONT,
+        "showlegend": False, "legend": LEGEND, "hovermode": "closest",
+        **more,
+    }  # fmt: skip
+
+
+def axis(title: str, **more: Any) -> dict[str, Any]:
+    """An axis with a title."""
+    return {
+        **AXIS,
+        "title": {"text": title, "standoff": STANDOFF},
+        "exponentformat": "power",
+        "automargin": True,
+        **more,
+    }
+
+
+def row_of_axes(titles: Sequence[str], y_title: str) -> dict[str, Any]:
+    """Axes of plots side by side: xaxis, yaxis, xaxis2, yaxis2, ...; the first one has the title `y_title`."""
+    count = len(titles)
+    unit = 1.0 / (count * CELL_WIDTH + (count - 1) * GAP)
+    axes: dict[str, Any] = {}
+    for k, title in enumerate(titles):
+        start, number = k * (CELL_WIDTH + GAP) * unit, str(k + 1) if k else ""
+        axes[f"xaxis{number}"] = axis(title, domain=[start, min(start + CELL_WIDTH * unit, 1.0)], anchor=f"y{number}")
+        axes[f"yaxis{number}"] = axis("" if k else y_title, anchor=f"x{number}", **({"matches": "y"} if k else {}))
+    return axes
+
+
+def plain(value: Any, digits: int = 6) -> Any:
+    """A number with few digits for the page, None if it is not finite; other values as text."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return float(f"{value:.{digits}g}") if isfinite(value) else None
+
+
+def level_text(value: Any, digits: int = 6) -> str:
+    """Text of a value of a parameter: 18 for the float 18.0, and other values as they are."""
+    number = plain(value, digits)
+    return f"{number:.{digits}g}" if isinstance(number, int | float) else str(value)
+
+
+def short_names(names: Sequence[str]) -> dict[str, str]:
+    """Short name of each parameter for an axis: the last two keys of its path, or as many as make all different."""
+    endings = distinct_endings([name.split(".") for name in names], least=2)
+    return {name: ".".join(parts) for name, parts in zip(names, endings, strict=True)}
+
 
 STANDARD_ERROR = "standard_error"
 """Prefix of the columns with the standard errors of the means over seeds."""
@@ -185,3 +247,106 @@ def label(name: str) -> str:
 
 def _cell(value: float) -> float | None:
     return value if isfinite(value) else None
+
+
+# Parameters and quantities of a sweep as its page shows them: in the unit of the sweep file, and angles in
+# degrees.
+
+
+@dataclass(frozen=True)
+class ShownTable:
+    """A sweep whose numbers are in the units of the page.
+
+    `units`: unit in which the sweep file gives the values of each parameter; empty: SI. `logarithmic`: parameters with
+    `scale: log`. `in_plots`: names and values are escaped, because plotly reads markup; tables of a page are not.
+    """
+
+    table: SweepTable
+    units: Mapping[str, str]
+    logarithmic: frozenset[str]
+    in_plots: bool = False
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.table.parameters
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of the quantities."""
+        return self.table.quantities
+
+    @property
+    def rows(self) -> tuple[PointRow, ...]:
+        """The points, with SI numbers."""
+        return self.table.rows
+
+    def value(self, row: PointRow, parameter: str) -> Any:
+        """The value of a parameter; text unchanged."""
+        found = row.point.values[parameter]
+        return in_unit(found, self.units[parameter]) if isinstance(found, float) else self._text(found)
+
+    def _text(self, value: Any) -> Any:
+        """A text as the page shows it; other values unchanged."""
+        return escaped(value) if self.in_plots and isinstance(value, str) else value
+
+    def mean(self, row: PointRow, quantity: str) -> float:
+        """Mean of a quantity over the seeds."""
+        return _in_unit(row.mean(quantity), quantity)
+
+    def standard_error(self, row: PointRow, quantity: str) -> float:
+        """Standard error of the mean of a quantity."""
+        return _in_unit(row.standard_error(quantity), quantity)
+
+    def short_name(self, parameter: str) -> str:
+        """The last keys of the path of a parameter."""
+        return str(self._text(short_names(self.parameters)[parameter]))
+
+    def parameter_label(self, parameter: str) -> str:
+        """Short name of a parameter with its unit, for an axis."""
+        return _with_unit(self.short_name(parameter), str(self._text(self.units[parameter])))
+
+    def label(self, quantity: str) -> str:
+        """Name of a quantity with its unit."""
+        return _with_unit(quantity, _unit(quantity))
+
+
+def shown(sweep: SweepInput, table: SweepTable) -> ShownTable:
+    """The table of a sweep in the units of the page."""
+    units = {name: _given_unit(variation) for name, variation in sweep.vary.items()}
+    ranges = {name: each for name, each in sweep.vary.items() if isinstance(each, ValueRange)}
+    return ShownTable(table, units, frozenset(name for name, each in ranges.items() if each.scale == "log"))
+
+
+def run_texts(table: ShownTable) -> dict[str, str]:
+    """Parameter values and name of each run, and its seed if there are several, by its directory."""
+    found = {}
+    for row in table.rows:
+        values = {table.parameter_label(name): level_text(table.value(row, name), 4) for name in table.parameters}
+        for run in (each.run for each in row.runs if each.run is not None):
+            own = values | ({"seed": str(run.seed)} if table.table.seed_count > 1 else {})
+            text = ", ".join(f"{name} = {value}" for name, value in own.items())
+            found[run.request.directory] = f"{text} ({run.directory.name})"
+    return found
+
+
+def _given_unit(variation: Any) -> str:
+    """The unit of the values of a parameter in the sweep file, if it is the same for all."""
+    if isinstance(variation, ValueRange):
+        return common_unit((variation.start, variation.stop))
+    return common_unit(variation.values if isinstance(variation, ValueList) else variation)
+
+
+def _unit(quantity: str) -> str:
+    """Unit of a quantity on the page: deg for angles, otherwise SI."""
+    unit = unit_of(quantity)
+    return "deg" if unit == "rad" else unit
+
+
+def _in_unit(value: float, quantity: str) -> float:
+    """An SI number in the unit of the page."""
+    return in_unit(value, "deg") if unit_of(quantity) == "rad" else value
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name

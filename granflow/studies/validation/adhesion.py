@@ -6,8 +6,8 @@ import numpy as np
 
 from granflow.contact import theory
 from granflow.contact.material import Solid, modulus_eff
-from granflow.geometry.sphere import sphere_mass
-from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.geometry.shape import sphere_mass
+from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.validation.case import ValidationCase
 
 SOLID = {"young_modulus": 1e7, "poisson_ratio": 0.3, "density": 2000.0}

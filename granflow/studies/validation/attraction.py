@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from granflow import Scene, Simulation
-from granflow.geometry.sphere import sphere_volume
+from granflow.geometry.shape import sphere_volume
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import FRACTION, STEP_ERROR, STEP_REASON
 from granflow.studies.validation.theory_of_collisions import Pair, Partner, collide, signed_power

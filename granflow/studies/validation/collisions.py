@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from granflow.scene.schema.presets import PRESETS
+from granflow.scene.blocks.materials import PRESETS
+from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.collide import collide
-from granflow.studies.collision_bench import Collision, CollisionBench
 from granflow.studies.paper.oblique import Solid
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.theory_of_collisions import (

@@ -11,15 +11,7 @@ import numpy as np
 
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.gas import Gas, cooling_curve, haff_slope, loss_of, viscoelastic_restitution
-from granflow.studies.validation.gas_runs import (
-    RESTITUTION,
-    START,
-    THETA,
-    gas_of,
-    gas_scene,
-    softness,
-    temperatures,
-)
+from granflow.studies.validation.gas_runs import RESTITUTION, START, THETA, gas_of, gas_scene, softness, temperatures
 
 COUNT, QUICK_COUNT, SEEDS = 4000, 1000, (1, 2, 3)
 """Particles of each run and its seeds. The box of 4000 particles, 38 mm, is smaller than the wavelength above which

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from granflow.geometry.sphere import sphere_volume
+from granflow.geometry.shape import sphere_volume
 
 Restitution = Callable[[np.ndarray], np.ndarray]
 """Coefficient of restitution over the normal velocity [m/s]."""

@@ -13,7 +13,7 @@ import numpy as np
 from granflow import Scene, Simulation
 from granflow.contact import theory
 from granflow.contact.material import Solid, modulus_eff
-from granflow.geometry.sphere import sphere_mass, sphere_volume
+from granflow.geometry.shape import sphere_mass, sphere_volume
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.shipped import shipped_scene
 

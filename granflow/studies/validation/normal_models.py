@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import FRACTION, GLASS, STEP_ERROR, STEP_REASON, measured
 from granflow.studies.validation.theory_of_collisions import (

@@ -13,11 +13,11 @@ from granflow.studies.paper.oblique import (
     SPEED_6,
     TEST_6,
     ImpactSweep,
+    oblique_figure,
     oblique_run,
     plotted_quantities,
     published,
 )
-from granflow.studies.paper.oblique_figure import oblique_figure
 from granflow.studies.validation.case import ValidationCase
 
 MEASURED = {

@@ -9,19 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from granflow import __version__
-from granflow.io.atomic_files import write_text
-from granflow.studies.page import page_text
-from granflow.studies.tables import PageTable
+from granflow.io.files import write_text
+from granflow.studies.page import PageTable, page_text
 from granflow.studies.validation.adhesion import adhesion_cases
 from granflow.studies.validation.at_rest import bed_cases, column_cases, reloading_cases, resting_cases
 from granflow.studies.validation.attraction import attraction_cases
 from granflow.studies.validation.case import ValidationCase
-from granflow.studies.validation.collisions import (
-    elastic_cases,
-    restitution_cases,
-    stated_cases,
-    steel_cases,
-)
+from granflow.studies.validation.collisions import elastic_cases, restitution_cases, stated_cases, steel_cases
 from granflow.studies.validation.cooling import MODULI, QUICK_COUNT, haff_cases, viscoelastic_gas_cases
 from granflow.studies.validation.motion import motion_cases
 from granflow.studies.validation.normal_models import normal_model_cases

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from granflow import Scene, load_scene
-from granflow.io.shipped_files import example_paths
+from granflow.io.files import example_paths
 
 
 def shipped_scene(name: str, overrides: Sequence[str] = ()) -> Scene:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from granflow.studies.collision_bench import Collision, CollisionBench
+from granflow.studies.bench import Collision, CollisionBench
 from granflow.studies.validation.case import ValidationCase
 from granflow.studies.validation.collisions import GLASS
 from granflow.studies.validation.theory_of_collisions import Pair, Partner, hertz_dashpot, zhou_collision, zhou_recovery

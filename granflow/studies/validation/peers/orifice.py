@@ -4,13 +4,7 @@ import numpy as np
 
 from granflow import Scene
 from granflow.studies.validation.peers.case import PeerCase, plane, scene_of
-from granflow.studies.validation.peers.state import (
-    LARGEST,
-    SPACING,
-    Particles,
-    discharge_figures,
-    random_particles,
-)
+from granflow.studies.validation.peers.state import LARGEST, SPACING, Particles, discharge_figures, random_particles
 
 COUNT, SILO_RADIUS, ORIFICE_RADIUS = 4000, 0.036, 0.014
 """Particles, and radii of silo and orifice [m], those of the scene `flat_silo` with an orifice of 28 mm."""

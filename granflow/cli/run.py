@@ -1,0 +1,711 @@
+"""The verbs run, check, schema, and cache (compiled kernels).
+
+`check` reports the errors of a scene, its time step and its packing without a run.
+"""
+
+import argparse
+import atexit
+import json
+import logging
+import os
+import shutil
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from filecmp import cmp
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from granflow.cli.arguments import (
+    add_allow_long,
+    add_machine,
+    add_mpi,
+    add_scene_verb,
+    add_verb,
+    exit_code_of,
+    load,
+    load_runnable,
+    print_error,
+    say,
+    say_checked,
+    show_result,
+    show_table,
+    simulated_time,
+    thread_count,
+    warned,
+)
+from granflow.cli.process import deferred_to, pass_stops_to, quick_start
+from granflow.errors import GranflowError
+from granflow.io.files import example_paths
+from granflow.io.machine import allowed_cores
+from granflow.visible_text import VisibleFormatter
+
+if TYPE_CHECKING:
+    from granflow.io.checkpoint import Checkpoint
+    from granflow.load import Scene
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.rank_engine import RankEngine
+    from granflow.plan.plan import Plan
+    from granflow.simulation import Simulation
+
+
+# The verbs examples and example: list the shipped scenes, sweeps and calibrations; copy one with its input
+# files.
+
+VERBS = {"sweeps": "sweep", "calibration": "calibrate"}
+"""Folders of shipped files that are not scenes, and the verbs that run them."""
+
+
+def examples(options: argparse.Namespace) -> int:
+    """`granflow examples`: list the names and titles of the shipped scenes, sweeps and calibrations."""
+    from granflow.scene.document import parse
+
+    paths = example_paths()
+    width = max(map(len, paths))
+    for name, path in paths.items():
+        title = parse(path.read_text(encoding="utf-8"), str(path), with_positions=False).find(("title",))
+        say(f"{name:{width}}  {title.scalar if title else ''}")
+    return 0
+
+
+def example(options: argparse.Namespace) -> int:
+    """`granflow example NAME`: copy a shipped scene and its input files.
+
+    Returns 0. Raises GranflowError for an unknown name, and for a file that exists with other contents.
+    """
+    from granflow.load import load
+    from granflow.runs.run_directory import input_files
+
+    source = path_of(options.name)
+    scenes = _scenes_of(source)
+    inputs = [path for scene in scenes for _, path in input_files(load(scene))]
+    folder = source.parent if source in scenes else source.parents[1]
+    targets = {path: options.out / path.relative_to(folder) for path in (source, *scenes, *inputs)}
+    for path, target in targets.items():
+        if target.exists() and not cmp(path, target, shallow=False):
+            raise GranflowError(
+                f"{target} exists with other contents: remove it, or give another directory with --out."
+            )
+    for path, target in targets.items():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+        say(str(target))
+    say(f"Run it with granflow {VERBS.get(source.parent.name, 'run')} {targets[source]}")
+    return 0
+
+
+def _scenes_of(source: Path) -> list[Path]:
+    """The scene itself, or the scenes of a sweep or a calibration."""
+    verb = VERBS.get(source.parent.name)
+    if verb == "sweep":
+        from granflow.studies.sweep.sweep import read_sweep
+
+        return [read_sweep(source).scene.resolve()]
+    if verb == "calibrate":
+        from granflow.studies.calibration.calibrate import read_calibration
+
+        return [path.resolve() for path in read_calibration(source).scenes.values()]
+    return [source]
+
+
+def path_of(name: str) -> Path:
+    """Path of a shipped scene, such as hopper or verification/incline. Raises GranflowError for an unknown name."""
+    from granflow.scene.model import suggestion_or_list
+
+    paths = example_paths()
+    known = name.removesuffix(".yaml")
+    if known not in paths:
+        raise GranflowError(f"{name} is not one of the shipped scenes. {suggestion_or_list(known, paths, 'scenes')}")
+    return paths[known]
+
+
+def scene_paths() -> dict[str, Path]:
+    """Paths of the shipped scenes by name, without sweeps and calibrations."""
+    return {name: path for name, path in example_paths().items() if path.parent.name not in VERBS}
+
+
+def add_examples(verbs: Any) -> None:
+    """Add `granflow examples`."""
+    add_verb(verbs, examples, "list the scenes that are part of the package")
+
+
+def add_example(verbs: Any) -> None:
+    """Add `granflow example` and its arguments."""
+    parser = add_verb(verbs, example, "copy a scene that is part of the package, with its meshes and particle files")
+    parser.add_argument("name", metavar="NAME", help="name of the scene, such as hopper")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(), help="directory of the copies (default: working directory)"
+    )
+
+
+# `granflow explain`: prints the decisions of the plan with their reasons.
+#
+# With --measure, it prints the measured cost of each feature instead.
+
+
+def explain(options: argparse.Namespace) -> int:
+    """`granflow explain`: print features, defaults, time step, memory and run time, or the cost of each feature.
+
+    Raises GranflowError for options that require --measure.
+    """
+    if options.measure:
+        return measure(options, load_runnable(options))
+    scene = load(options)
+    given = [name for name in ("until", "threads", "out") if getattr(options, name) is not None]
+    if given:
+        raise GranflowError(f"--{given[0]} requires --measure: give both or neither.")
+    from granflow.plan.build import plan_for
+    from granflow.plan.explain import explain as explain_plan
+
+    on_gpu = options.arch != "cpu"
+    say(explain_plan(plan_for(scene, on_gpu=on_gpu), on_gpu))
+    say(f"\nCost of each feature: granflow explain --measure {options.scene}")
+    return 0
+
+
+def measure(options: argparse.Namespace, scene: Any) -> int:
+    """Time the scene with each feature on and off, and print the table of times per step.
+
+    `scene`: resolved scene. With --out, the table is also written as CSV and Markdown.
+    """
+    use_fresh_kernel_cache()
+    from granflow.studies.feature_cost import HEADS, cost_rows, feature_costs, remarks, write_feature_costs
+
+    found = feature_costs(
+        scene, options.arch, options.threads, options.until, lambda message: say(f"{message} ...", flush=True)
+    )
+    show_table(f"{scene.title}: cost of a step, as in the scene and with one feature switched", HEADS, cost_rows(found))
+    say(*remarks(found), sep="\n")
+    if options.out is not None:
+        write_feature_costs(options.out, found, scene.title)
+        say(f"Written to {options.out}")
+    return 0
+
+
+def use_fresh_kernel_cache() -> None:
+    """Use an empty temporary kernel cache in this process, so that compilation takes as long as the first time.
+
+    Sets the environment variable of the cache; must be called before Taichi is initialized.
+    """
+    from granflow.engine.backend import CACHE_VARIABLE as VARIABLE
+
+    folder = TemporaryDirectory()
+    atexit.register(folder.cleanup)  # before Taichi registers its exit handler, which writes into the folder
+    os.environ[VARIABLE] = folder.name
+
+
+def add_explain(verbs: Any) -> None:
+    """Add `granflow explain` and its arguments."""
+    parser = add_scene_verb(
+        verbs, explain, "print features with their reasons, defaults, the time step and its limit, the memory estimate"
+    )
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="measure the cost of each feature instead of printing the plan: time per step with and without it",
+    )
+    parser.add_argument(
+        "--until", metavar="T", type=simulated_time, help="with --measure: simulated time to run before the measurement"
+    )
+    parser.add_argument(
+        "--threads",
+        metavar="N",
+        type=thread_count,
+        help="with --measure: CPU threads (default: cores available to this process)",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="with --measure: write the table as CSV and Markdown")
+    add_machine(parser)
+
+
+# `--mpi` of `granflow run` and `resume`: the root runs the scene, the others compute their part of each
+# step.
+
+
+def on_ranks(
+    options: argparse.Namespace,
+    run: "Callable[[Communicator], int]",
+    scene_and_plan: "Callable[[], tuple[Scene, Plan]]",
+) -> int:
+    """Run a scene on all ranks and return the exit code; 0 on all but the root.
+
+    run:             what the root does, with the communicator
+    scene_and_plan:  what the others read when the root has a plan
+
+    Raises GranflowError without mpi4py, and on the root the exceptions of `run`.
+    """
+    from granflow.parallel.communicator import Communicator
+    from granflow.parallel.rank_engine import controlling, serve
+
+    communicator = Communicator()
+    options.threads = options.threads or threads_per_rank(communicator)
+    if communicator.is_root:
+        with controlling(communicator):
+            return run(communicator)
+    stop = RankStop()
+    pass_stops_to(stop.request)
+    logging.getLogger("granflow").setLevel(logging.CRITICAL)
+    serve(communicator, lambda: stop.applied_to(_rank_engine(options, communicator, *scene_and_plan())))
+    return 0
+
+
+class RankStop:
+    """A stop signal that a rank other than the root has received; in the next step all ranks agree on it."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._engine: RankEngine | None = None
+
+    def request(self, number: int) -> None:
+        """Request the stop of the run; `number`: of the signal."""
+        self._number = number
+        if self._engine is not None:
+            self._engine.stepper.interrupted = number
+
+    def applied_to(self, engine: "RankEngine") -> "RankEngine":
+        """The engine of this rank, with the request that came before it."""
+        self._engine, engine.stepper.interrupted = engine, self._number
+        return engine
+
+
+def threads_per_rank(communicator: "Communicator") -> int:
+    """CPU threads of each rank: its cores if mpirun has bound it to some, otherwise a part of those of the machine."""
+    cores, ranks = allowed_cores(), communicator.local_size()
+    return max(cores // ranks if cores == os.cpu_count() else cores, 1)
+
+
+def _rank_engine(
+    options: argparse.Namespace, communicator: "Communicator", scene: "Scene", plan: "Plan"
+) -> "RankEngine":
+    """The engine of a rank that is not the root."""
+    from granflow.engine.engine import start
+    from granflow.parallel.rank_engine import RankEngine
+
+    return RankEngine(plan, start("cpu", scene.run.precision, options.threads), communicator, scene)
+
+
+# `granflow resume`: continues a run that was stopped or killed, or extends a completed one.
+
+EXIT_EXPECTATIONS_FAILED = 1
+"""Exit code of a complete run with an expectation that is not satisfied."""
+RESULT_SUFFIXES = (".vtu", ".pvtu", ".csv", ".npz")
+"""File types of results that take computing time."""
+SCENE = "scene_as_run.yaml"
+"""Name of the resolved scene in the output directory."""
+CHANGES = """\
+These keys may change, with --set or in scene_as_run.yaml; a change of any other key is an error:
+  output.interval, .timeseries_interval, .particles, .frames_per_rank, .contacts, .walls, .checkpoint
+  run.duration; duration, kinetic_energy_below, until, min_duration and max_duration of the current stage and later
+    ones, or of the last stage of a completed run; stages added at the end
+  stages, appears_at and vanishes_at of walls: opening a gate
+  motion of walls, if the position remains continuous: end a motion with end: and add another with start:
+  friction and rolling_friction of pairs, if both the old and the new value are above 0
+  numerics.max_overlap, title, description, expect
+"""
+"""End of the help text; `granflow.scene.differences.ALLOWED_CHANGES` defines the keys."""
+
+
+def resume(options: argparse.Namespace) -> int:
+    """`granflow resume`: continue from the newest intact checkpoint, bit-identical to an uninterrupted run.
+
+    Raises GranflowError if the directory does not exist, is locked by another run, contains no usable checkpoint, or if
+    the scene has changes that are not permitted.
+    """
+    out: Path = options.directory
+    if not out.is_dir():
+        raise GranflowError(f"{out}: no such directory; give the directory of a run.")
+    pass
+    from granflow.parallel.launch import refuse_without_mpi_flag
+
+    if options.mpi:
+        return on_ranks(options, partial(_resume, options, out), partial(_resumed_plan, options))
+    refuse_without_mpi_flag()
+    return _resume(options, out)
+
+
+def _resume(options: argparse.Namespace, out: Path, communicator: "Communicator | None" = None) -> int:
+    """Resume in the locked directory: no other process can continue or replace the run at the same time."""
+    from granflow.io.files import locked
+
+    with locked(out):
+        return _resume_locked(options, out, communicator)
+
+
+def _resume_locked(options: argparse.Namespace, out: Path, communicator: "Communicator | None") -> int:
+    """Resume, on the ranks of the communicator if there is one.
+
+    Raises GranflowError if rows of the time series are missing, unless --allow-changes is given.
+    """
+    from granflow.simulation import Simulation
+
+    printed: list[str] = []
+    checkpoint = checkpoint_to_resume(out, options.from_start, printed, communicator is not None)
+    scene = scene_to_resume(options, checkpoint)
+    simulation = Simulation(
+        scene, arch=options.arch, threads=options.threads, out=out, progress=True, resume=checkpoint,
+        allow_changes=options.allow_changes, allow_long=options.allow_long, overwrite=True, communicator=communicator,
+    )  # fmt: skip
+    if not (simulation.observers.rows_intact or options.allow_changes):
+        raise GranflowError(
+            f"{out / 'timeseries.csv'} lacks rows that were written before the checkpoint: restore the file, or "
+            "continue with the remaining rows with --allow-changes."
+        )
+    if checkpoint:
+        say_start(simulation, scene, checkpoint, options.until)
+    return run_to_end(simulation, scene, out, options.until, printed)
+
+
+def say_start(simulation: "Simulation", scene: "Scene", checkpoint: "Checkpoint", until: float | None) -> None:
+    """Print the checkpoint and its time, and whether no step is left; `until`: end of the run [s] or None.
+
+    Raises GranflowError if `until` is before the checkpoint, or after the end of a complete run.
+    """
+    time, step = simulation.time, simulation.time_step
+    if until is not None and until < time - step:
+        raise GranflowError(
+            f"--until is {until:.6g} s, but {checkpoint.path} is at {time:.6g} s: give a later time, or omit --until."
+        )
+    if until is not None and until > time + step and simulation.is_complete:
+        raise GranflowError(
+            f"--until is {until:.6g} s, but the run is complete at {time:.6g} s: {extension(scene, checkpoint, until)}."
+        )
+    say(f"Continues from {checkpoint.path} at {time:.6g} s.")
+    if simulation.is_complete:
+        longer = extension(scene, checkpoint, float(f"{2.0 * time:.2g}"))
+        say(f"The run is complete, so no step is taken. To continue it, {longer}.")
+    elif until is not None and until <= time + 0.5 * step:
+        say(f"The run is at --until {until:.6g} s, so no step is taken.")
+
+
+def extension(scene: "Scene", checkpoint: "Checkpoint", until: float) -> str:
+    """Instruction that extends a complete run to the time `until` [s]."""
+    if not scene.stages:
+        return f"extend it with --set run.duration={until:.6g}s"
+    index, stage = len(scene.stages) - 1, scene.stages[-1]
+    if stage.duration is None:  # one of its conditions is satisfied
+        return f"add a stage after {stage.name} in {checkpoint.path.with_name(SCENE)}"
+    began = checkpoint.saved["stage_progress"]["stage_times"][stage.name][0]
+    return f"extend it with --set stages.{index}.duration={until - began:.6g}s"
+
+
+def checkpoint_to_resume(
+    out: Path, from_start: bool, printed: list[str], on_ranks: bool = False
+) -> "Checkpoint | None":
+    """Return the newest intact checkpoint, or None to run from the start.
+
+    Without `from_start`, a run without a checkpoint starts from the beginning only if the directory has no results;
+    otherwise raises GranflowError. `on_ranks`: each rank reads its part of the particles later. Damaged checkpoints
+    and a restored previous run cause warnings on stderr, which are added to `printed`.
+    """
+    from granflow.io.checkpoint import newest_checkpoint
+    from granflow.runs.run_directory import restore_previous_run, results_in
+
+    printed += warned(restore_previous_run(out))
+    if from_start:
+        return None
+    checkpoint, skipped = newest_checkpoint(out, "root" if on_ranks else "all")
+    printed += warned(skipped)
+    results = [path for path in results_in(out) if path.suffix in RESULT_SUFFIXES]
+    if checkpoint is None and results and (out / SCENE).exists():
+        raise GranflowError(
+            f"{out} contains no usable checkpoint, but {len(results)} result files: to replace them and run the scene "
+            f"from the start, use granflow resume {out} --from-start."
+        )
+    if checkpoint is None and (out / SCENE).exists():
+        printed += warned([f"{out} contains neither a checkpoint nor results: the run begins from the start."])
+    return checkpoint
+
+
+def _resumed_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
+    """The scene and the plan of the run that the root resumes, on another rank."""
+    from granflow.io.checkpoint import newest_checkpoint
+    from granflow.plan.build import plan_for
+    from granflow.runs.resume import changed_plan
+
+    checkpoint = None if options.from_start else newest_checkpoint(options.directory, "header")[0]
+    scene = scene_to_resume(options, checkpoint)
+    return scene, plan_for(scene) if checkpoint is None else changed_plan(plan_for(scene), checkpoint)
+
+
+def scene_to_resume(options: argparse.Namespace, checkpoint: "Checkpoint | None") -> "Scene":
+    """Return the resolved scene, or that of the checkpoint if the file is missing, with the overrides applied.
+
+    Raises GranflowError if neither exists.
+    """
+    from granflow.load import load, scene_of
+
+    path = options.directory / SCENE
+    precision = [f"run.precision={options.precision}"] if options.precision else []
+    if path.exists():
+        return load(path, [*options.overrides, *precision])
+    if checkpoint is None:
+        raise GranflowError(f"{options.directory} contains no run: neither a usable checkpoint nor {SCENE}.")
+    return scene_of(checkpoint.scene, str(checkpoint.path), [*options.overrides, *precision])
+
+
+def run_to_end(
+    simulation: "Simulation", scene: "Scene", out: Path, until: float | None, printed: Sequence[str] = ()
+) -> int:
+    """Print the number of warnings and the warnings, run with signal handling, print numbers; return the exit code.
+
+    `until`: simulated time at which the run ends [s], or None. `printed`: warnings on stderr so far, which run.log and
+    result.json contain too. Returns 1 if an expectation is not satisfied, 130 or 143
+    after a stop signal.
+    """
+    say_checked(scene.path, simulation.warnings)
+    simulation.warnings.extend(printed)
+    try:
+        with deferred_to(simulation.request_stop), warnings_shown(simulation.warnings):
+            result = simulation.run(until=until, within_stages=True)
+            result = simulation.close() or result
+    except KeyboardInterrupt as stop:
+        return print_error(stopped_where(simulation, out), exit_code_of(stop))
+    show_result(scene.title, result, out)
+    if until is not None and simulation.is_complete and simulation.time < until - simulation.time_step:
+        say(f"The last stage ended at {simulation.time:.6g} s, before --until {until:.6g} s.")
+    if scene.expect and not result.expectations:
+        say(f"Expectations are not evaluated: --until ended the run at {simulation.time:.6g} s.")
+    return 0 if all(met for _, met in result.expectations) else EXIT_EXPECTATIONS_FAILED
+
+
+def stopped_where(simulation: "Simulation", out: Path) -> str:
+    """Return a sentence with the time [s] at which a run stopped and that of its last checkpoint."""
+    at, saved = f"stopped at {simulation.time:.6g} s", simulation.files.checkpoint_time
+    if saved == simulation.time:
+        return f"{at}; granflow resume {out} continues. {out} contains the run up to this time."
+    if saved is None:
+        return f"{at}, before the first checkpoint."
+    return f"{at}; the last checkpoint is at {saved:.6g} s, and granflow resume {out} continues from there."
+
+
+@contextmanager
+def warnings_shown(shown: Collection[str]) -> Iterator[None]:
+    """In the block, print the warnings of the log to stderr, except those in `shown`."""
+    logger, handler = logging.getLogger("granflow"), logging.StreamHandler()
+    handler.setLevel(logging.WARNING)
+    handler.addFilter(lambda record: record.levelno == logging.WARNING and record.getMessage() not in shown)
+    handler.setFormatter(VisibleFormatter("granflow: warning: %(message)s"))
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+
+
+def add_resume(verbs: Any) -> None:
+    """Add `granflow resume` and its arguments; the help text ends with the keys that may change."""
+    summary = "continue a stopped or killed run, bit-identical to an uninterrupted one, or extend a completed run"
+    parser = verbs.add_parser(
+        "resume", help=summary, description=summary[0].upper() + summary[1:] + ".", epilog=CHANGES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("directory", metavar="DIR", type=Path, help="directory of the run")
+    parser.add_argument(
+        "--set", dest="overrides", metavar="KEY.PATH=VALUE", action="append", default=[],
+        help="override a value that may change, such as --set walls.gate.vanishes_at=1.2s; repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--allow-changes", action="store_true", help="continue even if the scene or the time series has changed"
+    )
+    parser.add_argument(
+        "--from-start", action="store_true",
+        help="run the scene from the start, without a checkpoint; replaces the results",
+    )  # fmt: skip
+    parser.add_argument(
+        "--until", metavar="T", type=simulated_time,
+        help="stop at this simulated time, such as 0.2s, not before that of the checkpoint",
+    )  # fmt: skip
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
+    )
+    add_mpi(parser)
+    add_allow_long(parser)
+    add_machine(parser)
+    parser.set_defaults(verb=resume)
+
+
+def run(options: argparse.Namespace) -> int:
+    """`granflow run`: simulate a scene, write the results to a directory, and print the numbers and expectations.
+
+    Returns the exit code of `run_to_end`. Raises SceneError for a group without particles, and GranflowError if the
+    directory contains an earlier run, unless --overwrite is given, or if the launch does not match --mpi.
+    """
+    pass
+    from granflow.parallel.launch import refuse_without_mpi_flag
+
+    if options.mpi:
+        return on_ranks(options, partial(run_scene, options), partial(scene_and_plan, options))
+    refuse_without_mpi_flag()
+    return run_scene(options)
+
+
+def scene_and_plan(options: argparse.Namespace) -> "tuple[Scene, Plan]":
+    """The scene of a run and its plan."""
+    from granflow.plan.build import plan_for
+
+    scene = load_runnable(options)
+    return scene, plan_for(scene)
+
+
+def run_scene(options: argparse.Namespace, communicator: "Communicator | None" = None) -> int:
+    """Run a scene, on the ranks of the communicator if there is one. Returns and raises as `run`."""
+    with quick_start():
+        scene = load_runnable(options)
+        out = options.out or Path("out") / scene.path.stem
+        printed = prepare_output(out, scene, options.overwrite)
+        pass
+        from granflow.io.files import locked
+        from granflow.simulation import Simulation
+
+        simulation = Simulation(
+            scene, arch=options.arch, threads=options.threads, out=out, progress=True, allow_long=options.allow_long,
+            communicator=communicator, overwrite=options.overwrite,
+        )  # fmt: skip
+        simulation.warnings.extend(restitution_warnings(scene, simulation.plan))
+    with locked(out):
+        # another process may have used the directory in the meantime
+        printed += prepare_output(out, scene, options.overwrite)
+        return run_to_end(simulation, scene, out, options.until, printed)
+
+
+def prepare_output(out: Path, scene: "Scene", overwrite: bool) -> list[str]:
+    """Check the output directory of a new run; print and return warnings about it.
+
+    Raises GranflowError if it contains an earlier run, unless `overwrite` is set and the scene reads no file from it.
+    The new run replaces the earlier one after its first frame.
+    """
+    from granflow.io.files import locked
+    from granflow.runs.run_directory import refuse_inputs_inside, restore_previous_run, results_in
+
+    if not out.exists():
+        return []
+    with locked(out):
+        notes = warned(restore_previous_run(out))
+        if not results_in(out):
+            return notes
+        refuse_inputs_inside(scene, out)
+        if not overwrite:
+            raise GranflowError(
+                f"{out} contains an earlier run: give another directory with --out, replace it with --overwrite, or "
+                f"continue it with granflow resume {out}."
+            )
+        return notes
+
+
+@quick_start()
+def check(options: argparse.Namespace) -> int:
+    """`granflow check`: report all errors of a scene, also of time step, packing and memory, without a run.
+
+    The first line has the number of warnings, which follow on stderr. Returns 0; raises SceneError with the problems.
+    If the particles do not fit into the memory, their packing is not checked.
+    """
+    scene = load(options)
+    from granflow.particles.insertion import initial_particles, inserters
+    from granflow.plan.arrays import fits, memory_warning, refuse_too_many
+    from granflow.plan.build import plan_for
+    from granflow.plan.explain import refuse_run_time
+    from granflow.plan.forecast import particle_warnings, refuse_initial_overlaps
+    from granflow.runs.initial_particles import particles_from_run
+    from granflow.runs.ranks import refuse_on_ranks
+
+    plan = plan_for(scene)
+    if options.mpi:
+        refuse_on_ranks(scene=scene)
+    else:  # a rank has a part of the particles only
+        refuse_too_many(plan)
+    refuse_run_time(plan, options.allow_long)
+    found = [*scene.problems_without_program(), *plan.warnings, *filter(None, [memory_warning(plan)])]
+    found += restitution_warnings(scene, plan)
+    for note in plan.mesh_notes:
+        if not note.warning:
+            say(f"walls.{note.wall}: {note.sentence}.")
+    if not fits(plan):
+        return say_checked(options.scene, found, ", but the packing of the particles was not checked")
+    particles = initial_particles(scene, particles_from_run(scene))
+    refuse_initial_overlaps(scene, particles)
+    found += particle_warnings(scene, plan, particles)
+    inserters(scene)
+    return say_checked(options.scene, found)
+
+
+def restitution_warnings(scene: "Scene", plan: "Plan") -> list[str]:
+    """Sentences on restitutions that the time step does not reproduce."""
+    from granflow.studies.restitution import warnings
+
+    return warnings(scene, plan)
+
+
+def schema(options: argparse.Namespace) -> int:
+    """`granflow schema`: print the JSON Schema of scene files (draft 2020-12), for editors.
+
+    `granflow schema KEY.PATH`: print the reference of a key or block. Raises GranflowError for an unknown key.
+    """
+    if options.key is not None:
+        from granflow.scene.reference import reference_of
+
+        try:
+            say(reference_of("" if options.key == "scene" else options.key))
+        except KeyError as error:
+            raise GranflowError(error.args[0]) from None
+        return 0
+    from granflow.scene.reference import json_schema
+
+    say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+def cache(options: argparse.Namespace) -> int:
+    """`granflow cache`: print the directory of compiled kernels, their number and size [MB]; --clear deletes them."""
+    from granflow.engine.backend import CACHE_VARIABLE as VARIABLE
+    from granflow.engine.backend import cache_contents, cache_folder, clear_cache
+
+    cached = clear_cache() if options.clear else cache_contents()
+    done = "deleted" if options.clear else "cached"
+    say(f"{cache_folder()}: {cached.kernel_count} compiled kernels, {cached.size / 1e6:.1f} MB {done}.")
+    say(f"The environment variable {VARIABLE} selects another directory.")
+    return 0
+
+
+def add_check(verbs: Any) -> None:
+    """Add `granflow check` and its arguments."""
+    parser = add_scene_verb(verbs, check, "report all errors of a scene without running it")
+    add_allow_long(parser)
+    parser.add_argument("--mpi", action="store_true", help="for a run on MPI ranks, each with a part of the particles")
+
+
+def add_run(verbs: Any) -> None:
+    """Add `granflow run` and its arguments."""
+    parser = add_scene_verb(verbs, run, "run a simulation and write the results as files for ParaView")
+    add_allow_long(parser)
+    parser.add_argument("--out", metavar="DIR", type=Path, help="output directory (default: out/SCENE)")
+    parser.add_argument("--until", metavar="T", type=simulated_time, help="stop at this simulated time, such as 0.2s")
+    parser.add_argument(
+        "--threads", metavar="N", type=thread_count, help="CPU threads (default: cores available to this process)"
+    )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an earlier run in the same directory after the first frame of the new run",
+    )
+    add_mpi(parser)
+    add_machine(parser)
+
+
+def add_schema(verbs: Any) -> None:
+    """Add `granflow schema` and its argument."""
+    summary = "print the reference of a scene key or block, or the JSON Schema of scene files for editors"
+    parser = verbs.add_parser("schema", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument(
+        "key", metavar="KEY.PATH", nargs="?",
+        help="key such as run.time_step, walls.rectangle.sides or motion.servo; a block lists its keys; "
+        "scene: the first level; without it, the JSON Schema",
+    )  # fmt: skip
+    parser.set_defaults(verb=schema)
+
+
+def add_cache(verbs: Any) -> None:
+    """Add `granflow cache` and its argument."""
+    summary = "print the path of the kernel cache (compiled kernels, reused to shorten the start of later runs)"
+    parser = verbs.add_parser("cache", help=summary, description=summary[0].upper() + summary[1:] + ".")
+    parser.add_argument("--clear", action="store_true", help="delete the compiled kernels; the next run compiles again")
+    parser.set_defaults(verb=cache)

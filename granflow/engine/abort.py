@@ -1,0 +1,657 @@
+"""Abort codes and messages: the particle or the bodies in contact, the time, the likely cause and the remedies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot, isfinite
+
+import numpy as np
+
+from granflow.engine.codes import (
+    ABORT_DISPLACEMENT,
+    ABORT_FORCE,
+    ABORT_NOT_FINITE,
+    ABORT_OVERLAP,
+    ABORT_REASONS,
+    ABORT_WALL,
+    FORCE_REASONS,
+)
+from granflow.engine.host import copy_to_host
+from granflow.engine.pair import mobility_mask
+from granflow.engine.state import State
+from granflow.engine.statistics import candidate_pairs
+from granflow.engine.wall_dynamics import controlled_displacements, controlled_velocities
+from granflow.engine.walls import walls_of
+from granflow.geometry.mesh import Mesh, reference_contact
+from granflow.geometry.motion import pose
+from granflow.plan.limits import COARSEST, remedy, share_of, spacing_at
+from granflow.plan.overlaps import (
+    ENOUGH,
+    BedPressure,
+    ContactForces,
+    TouchingPair,
+    attraction_share,
+    impact_overlap,
+    impact_velocity,
+    modulus_factor,
+    modulus_text,
+    required_moduli,
+    static_overlap,
+    without_modulus,
+)
+from granflow.plan.plan import Plan
+from granflow.plan.time_step import PairCase, stable_step
+from granflow.scene.blocks.run import LARGEST_OVERLAP
+
+# The bodies of a contact at the time of an abort.
+
+AT_REST = 1e-9
+"""Speed [m/s] below which messages report `at rest`."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A particle or a wall: name, material, velocity [m/s] at the contact, and position [m] of a particle."""
+
+    name: str
+    material: str
+    velocity: tuple[float, float, float]
+    position: tuple[float, float, float] | None
+
+    @property
+    def speed(self) -> float:
+        """Speed [m/s]."""
+        return hypot(*self.velocity)
+
+    def __str__(self) -> str:
+        """Description for messages: particle 7 (glass, 3.2 m/s)."""
+        moving = f"{self.speed:.3g} m/s" if isfinite(self.speed) else "velocity not a number"
+        return f"{self.name} ({self.material}, {'at rest' if self.speed < AT_REST else moving})"
+
+
+@dataclass(frozen=True)
+class ContactPair:
+    """A contact at the time of the abort.
+
+    overlap:          over the smaller radius
+    approach:         [m/s] along the normal, negative if the bodies separate
+    impact_velocity:  impact velocity [m/s] with the energy of this overlap and approach
+    stable_step:      time step [s] that is stable for it
+    radius:           [m] of the smaller particle
+    radius_eff:       effective radius [m]
+    mass_eff:         effective mass [kg]
+    weight:           pressure [Pa] of the weight of all particles on the section of the present bed
+    """
+
+    first: Body
+    second: Body
+    overlap: float
+    approach: float
+    impact_velocity: float
+    stable_step: float
+    radius: float
+    radius_eff: float
+    mass_eff: float
+    weight: float
+
+
+# Cause and remedies of an overlap above the limit: an impact, a static load, a pressing wall, or cohesion.
+
+AT_REST_SHARE = 0.01
+"""Kinetic over total energy of a contact below which its load is static: an impact that ends there reaches at most
+1.004 times the limit, because 1 - (limit / dmax)^2.5 of its energy is kinetic at the limit."""
+COHESIVE_SHARE = 0.5
+"""Attraction over repulsion above which cohesion is the cause of an overlap."""
+GROWTH = 1.25
+"""Overlap assumed for a static load over the observed one: the run stopped while the load increased."""
+SUDDEN = 2.0
+"""Largest force of a weight over its static force: the bed is still settling when the run stops."""
+EXPLAINED = 0.5
+"""Smallest share of an overlap that the largest static overlap under the weight and the walls must explain."""
+TOLERANCE = 1.01
+"""Velocity over the planned one up to which an impact is as planned: it follows from the energy of a coarse step."""
+SPEED_MARGIN = 1.2
+"""Factor from an observed velocity to the recommended `velocity_max`."""
+
+
+def overlap_cause(pair: ContactPair, plan: Plan) -> str:
+    """Sentences on the cause of an overlap above the limit, with the remedies that follow from the contact model.
+
+    The moduli are those at which the same impact or load stays below the limit, see `forecast.advice`. For static loads
+    the largest of the observed force, the weight of all particles and the walls counts: the load may still increase.
+    """
+    touching = TouchingPair(
+        "", (pair.first.material, pair.second.material), plan.pair(pair.first.material, pair.second.material),
+        pair.radius, pair.radius_eff, pair.mass_eff,
+    )  # fmt: skip
+    attraction = attraction_share(plan.laws, touching, pair.overlap * pair.radius)
+    if attraction > COHESIVE_SHARE:
+        return _cohesion(touching, plan, attraction)
+    if pair.approach**2 < AT_REST_SHARE * pair.impact_velocity**2:
+        return f"The contact is almost at rest: {_at_rest(touching, plan, pair)}"
+    reached = impact_overlap(plan.laws, touching, pair.impact_velocity)
+    if reached < pair.overlap:
+        alone = f"An impact at {pair.impact_velocity:.3g} m/s alone reaches {reached:.3g} of the radius"
+        return f"{alone}, other particles or walls press as well: {_at_rest(touching, plan, pair)}"
+    return _impact(touching, plan, pair.impact_velocity, reached)
+
+
+def _impact(touching: TouchingPair, plan: Plan, velocity: float, largest: float) -> str:
+    """Cause and remedy of an impact at `velocity` [m/s], which reaches the overlap over radius `largest`."""
+    remedy = _moduli(touching, plan, lambda pair: impact_overlap(plan.laws, pair, velocity, plan.max_overlap), largest)
+    cause = f"This overlap results from an impact at {velocity:.3g} m/s, which reaches {largest:.3g} of the radius"
+    if velocity <= TOLERANCE * plan.velocity_max:
+        return f"{cause}: {remedy}."
+    planned = f"set run.velocity_max to {SPEED_MARGIN * velocity:.3g} m/s for the time step"
+    return (
+        f"{cause}; it is above the planned {plan.velocity_max:.3g} m/s: {planned} and {remedy}, or find the cause of "
+        "this velocity."
+    )
+
+
+def _at_rest(touching: TouchingPair, plan: Plan, contact: ContactPair) -> str:
+    """Cause and remedy of an overlap that no impact of the two bodies alone explains.
+
+    A static load, if the weight or a wall explains at least EXPLAINED of the overlap; otherwise other particles that
+    press in motion, such as those that land on a bed or slide down in a drum.
+    """
+    weight = BedPressure("weight", "", contact.weight, max(3.0 * plan.particle_capacity, 1.0))
+    by_weight = SUDDEN * weight.largest_force(2.0 * touching.radius)
+    by_wall = max((each.force for each in plan.forecasts if each.cause == "wall"), default=0.0)
+    observed = ContactForces(plan.laws, touching, 1.0).total(GROWTH * contact.overlap * touching.radius, 0.0)
+    force = max(observed, by_weight, by_wall)
+    expected = static_overlap(plan.laws, touching, force)
+    remedy = _moduli(touching, plan, lambda pair: static_overlap(plan.laws, pair, force), expected)
+    if plan.laws.normal.softer_after_slow_onset:
+        remedy = f"{_fixed_stiffness(plan)}, or {remedy}"
+    by_load = static_overlap(plan.laws, touching, max(by_weight, by_wall))
+    if by_load < EXPLAINED * contact.overlap:
+        return _moving_load(remedy, by_load)
+    pressing = by_wall > by_weight
+    names = ", ".join(f"walls.{each.name}" for each in plan.controlled_motions if each.force > 0.0)
+    cause = f"the static pressure of {names}" if pressing else "a static load, such as the weight above these particles"
+    less = ", lower the pressure" if pressing else ""
+    return f"its cause is {cause}: {remedy}{less}."
+
+
+def _fixed_stiffness(plan: Plan) -> str:
+    """Instruction that makes all contacts as stiff as those at the planned velocity."""
+    return (
+        f"set contact.normal.stiffness to {{reference_velocity: {plan.velocity_max:.3g} m/s}}, because a contact that "
+        "begins slowly gets a soft spring with onset"
+    )
+
+
+def _moving_load(remedy: str, by_load: float) -> str:
+    """Cause and remedy of an overlap that weight and walls do not explain; `by_load`: their overlap over the radius."""
+    return (
+        f"weight and walls at rest explain only an overlap of {by_load:.2g} of the radius, so its cause is not a "
+        "static load, but other particles or a moving wall that press on this contact, as particles do that land on a "
+        f"bed: lower their velocity, or {remedy}."
+    )
+
+
+def _cohesion(touching: TouchingPair, plan: Plan, attraction: float) -> str:
+    """Cause and remedy of an overlap by cohesion; `attraction`: over the repulsion.
+
+    The remedy also covers impacts at the planned velocity, which the attraction makes deeper.
+    """
+    assert plan.laws.cohesion is not None
+
+    def overlap(pair: TouchingPair) -> float:
+        return max(static_overlap(plan.laws, pair, 0.0), impact_overlap(plan.laws, pair, plan.velocity_max))
+
+    remedy = _moduli(touching, plan, overlap, overlap(touching))
+    keys = " or ".join(plan.laws.cohesion.constant_names)
+    return f"Its cause is cohesion, {attraction:.2g} of the repulsion: lower {keys}, or {remedy}."
+
+
+def _moduli(touching: TouchingPair, plan: Plan, overlap: Callable[[TouchingPair], float], expected: float) -> str:
+    """Instruction that sets the moduli at which the overlap is below the limit, or raises the limit if that is allowed.
+
+    `expected`: overlap over the radius without a change.
+    """
+    factor = modulus_factor(touching, overlap, plan.max_overlap)
+    if factor is None:
+        first = without_modulus(touching, overlap)
+    else:
+        first = modulus_text(required_moduli(plan.solids, touching.materials, max(factor, 1.0)))
+    needed = float(f"{ENOUGH * max(expected, plan.max_overlap) + 0.005:.2f}")
+    accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
+    return first + (accept if needed <= LARGEST_OVERLAP else "")
+
+
+OVERLAP_MARGIN = 1.4
+"""Limit of the overlap that lets an aborted run continue, over the overlap at the abort: it still increases."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Insertion, or change of walls, during a run. `stage`: name of the stage; `appeared`: names of the new walls."""
+
+    stage: str
+    appeared: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Cause of an aborted run.
+
+    reason:     one of the values of ABORT_REASONS
+    body:       the particle with the smallest id above the limit, or the wall
+    pair:       the contact with the largest overlap, None without a contact
+    time_step:  [s]
+    """
+
+    reason: str
+    body: Body
+    pair: ContactPair | None
+    time_step: float
+    begun: bool
+    """True if a step was taken; false if only the initial forces were computed."""
+    change: Change | None
+    """The change after which the forces were computed; None if a step was taken since then, or before the first one."""
+
+
+def abort_message(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Message for an abort: body or bodies in contact, time, exceeded limit, likely cause and remedies.
+
+    `time`: simulated time [s] of the abort.
+    """
+    message = f"Stopped: {_REASONS[diagnosis.reason](diagnosis, plan, time)}"
+    if diagnosis.begun and diagnosis.reason in FORCE_REASONS and plan.external_forces:
+        names = ", ".join(each.name for each in plan.external_forces)
+        noun = "forces" if len(plan.external_forces) > 1 else "force"
+        return f"{message} The {noun} from Python may also be the cause: check the values of {names}."
+    return message
+
+
+def permitted_change(diagnosis: Diagnosis) -> str:
+    """KEY=VALUE for a run that continues before the abort: a limit above the overlap; empty if none is known.
+
+    For an initial overlap, the limit is that of the message.
+    """
+    if diagnosis.reason != "overlap" or diagnosis.pair is None or diagnosis.pair.overlap >= LARGEST_OVERLAP:
+        return ""
+    if not diagnosis.begun:
+        needed = _limit_for_initial(diagnosis.pair.overlap)
+        return f"numerics.max_overlap={needed:g}" if needed <= LARGEST_OVERLAP else ""
+    return f"numerics.max_overlap={min(OVERLAP_MARGIN * diagnosis.pair.overlap, LARGEST_OVERLAP):.2g}"
+
+
+def _limit_for_initial(overlap: float) -> float:
+    """Smallest limit with two decimals that permits an initial overlap over the radius."""
+    return float(f"{overlap + 0.005:.2f}")
+
+
+def _overlap(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Overlap above `numerics.max_overlap`."""
+    pair = diagnosis.pair
+    if pair is None:
+        return f"{diagnosis.body} at {time:.6g} s overlaps by more than {plan.max_overlap:g} of its radius."
+    limit = f"numerics.max_overlap {plan.max_overlap:g}"
+    description = (
+        f"{pair.first} at {time:.6g} s overlaps with {pair.second} by {pair.overlap:.3g} times the smaller "
+        f"radius, more than {limit}."
+    )
+    if not diagnosis.begun:
+        needed = _limit_for_initial(pair.overlap)
+        accept = f", or set numerics.max_overlap to {needed:g} if this is intended"
+        return f"{description} They overlap initially: move them apart{accept if needed <= LARGEST_OVERLAP else ''}."
+    if diagnosis.change is not None and pair.second.position is None:
+        return f"{description} {_change_cause(diagnosis.change, pair.second.name, plan)}"
+    description = f"{description} {_relative_motion(pair)}"
+    if diagnosis.time_step > pair.stable_step and plan.step.is_given:
+        return f"{description} {_step_or_speed(pair, plan, diagnosis.time_step)}"
+    return f"{description} {overlap_cause(pair, plan)}"
+
+
+def _change_cause(change: Change, wall: str, plan: Plan) -> str:
+    """Sentence on a particle that is in a wall since an insertion, or since the wall exists; `wall`: as in messages."""
+    name = next((name for name in change.appeared if wall == f"wall {name}"), None)
+    if name is None:
+        return (
+            "The particle was inserted there at this time: choose a region for the insertion that does not intersect "
+            f"{wall}."
+        )
+    planned = next(each for each in plan.walls if each.name == name)
+    keys = ([] if planned.stages is None else [f"walls.{name}.stages"]) + (
+        [f"walls.{name}.appears_at"] if planned.appears_at > 0.0 else []
+    )
+    remedy = f" Change {' or '.join(keys)}, or let" if keys else " Let"
+    return (
+        f"Wall {name} appears at this time, in stage {change.stage}, where the "
+        f"particle is.{remedy} it appear where there are no particles."
+    )
+
+
+def _force(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Contact force above the range of the sums."""
+    description = (
+        f"the contact force on {diagnosis.body} at {time:.6g} s is above {plan.sum_units.largest_force:.3g} N, more "
+        f"than 30 times the force at the overlap limit numerics.max_overlap {plan.max_overlap:g}."
+    )
+    if diagnosis.pair is None:
+        return _advice(diagnosis.time_step, f"{description} Likely cause: a velocity far above run.velocity_max")
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: a viscous or cohesive force far above the elastic force"
+    )
+    return f"{description} {_relative_motion(diagnosis.pair)} {cause}"
+
+
+def _displacement(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement in one step above the limit."""
+    description = _too_far(diagnosis, plan, time, plan.travel_limit)
+    if diagnosis.pair is None:
+        speed = diagnosis.body.speed
+        if not isfinite(speed):
+            return f"{description} Likely cause: a force that is too large or not a number."
+        return f"{description} {remedy(plan.step.is_given, speed, SPEED_MARGIN * speed, plan.travel_limit)}"
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: the force of this overlap"
+    )
+    return f"{description} {_overlap_before(diagnosis.pair)} {_relative_motion(diagnosis.pair)} {cause}"
+
+
+def _not_finite(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that is not a number."""
+    description = f"the position of {diagnosis.body} at {time:.6g} s is not a number."
+    if diagnosis.pair is None:
+        better = "" if plan.precision == "f64" else ", or use precision f64"
+        return f"{description} It has no contacts: check its initial velocity and angular_velocity{better}."
+    cause = _step_or_speed(diagnosis.pair, plan, diagnosis.time_step) or _advice(
+        diagnosis.time_step, "Likely cause: the time step is too long for this contact"
+    )
+    return f"{description} {_overlap_before(diagnosis.pair)} {cause}"
+
+
+def _left_domain(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Particle outside a domain with `on_exit: error`."""
+    where = plan.sources["domain.on_exit"]
+    name, _, rest = str(diagnosis.body).partition(" (")
+    x, y, z = diagnosis.body.position or (0.0, 0.0, 0.0)
+    return (
+        f"{name} at {time:.6g} s is outside the domain, and domain.on_exit is error ({where}); "
+        f"it is at [{x:.4g}, {y:.4g}, {z:.4g}] m ({rest}. "
+        "Close the gap in the walls, enlarge the domain, or set domain.on_exit to delete."
+    )
+
+
+def _far(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Position that the precision does not resolve."""
+    precision, position = plan.precision, diagnosis.body.position or (0.0, 0.0, 0.0)
+    farthest = max(map(abs, position))
+    better = " Use --precision mixed, or" if precision == "f32" else " Use"
+    return (
+        f"{diagnosis.body} at {time:.6g} s is {farthest:.4g} m from the origin along an axis, where "
+        f"{precision} resolves positions only to {spacing_at(precision, farthest):.3g} m; the required resolution is "
+        f"{COARSEST:g} of the smallest radius {plan.radius_min:.3g} m.{better} an outlet, or domain.on_exit: delete."
+    )
+
+
+def _liquid(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Bridges that formed in one step have taken more liquid than the film had."""
+    return (
+        f"the bridges that form in one step on {diagnosis.body} at {time:.6g} s take more liquid than its film has, "
+        "because it overlaps with particles or walls that overlap with each other. Move them apart, or start the "
+        "particles with gaps."
+    )
+
+
+def _wall(diagnosis: Diagnosis, plan: Plan, time: float) -> str:
+    """Displacement of a force-controlled wall in one step above the limit."""
+    kind = next(
+        controlled.kind for controlled in plan.controlled_motions if diagnosis.body.name == f"wall {controlled.name}"
+    )
+    slower = "Lower its velocity_max." if kind == "servo" else "Increase its mass or damping."
+    limit = plan.wall_travel_limit
+    planned = SPEED_MARGIN * diagnosis.body.speed * plan.travel_limit / limit
+    advice = remedy(plan.step.is_given, diagnosis.body.speed, planned, limit)
+    return f"{_too_far(diagnosis, plan, time, limit)} {slower} {advice}"
+
+
+def _too_far(diagnosis: Diagnosis, plan: Plan, time: float, limit: float) -> str:
+    """Sentence on a displacement in one step above `limit` [m]."""
+    moved = diagnosis.body.speed * diagnosis.time_step
+    return (
+        f"{diagnosis.body} at {time:.6g} s moves {moved:.3g} m in one step of {diagnosis.time_step:.3g} s, "
+        f"above the limit of {limit:.3g} m ({share_of(limit, plan.radius_min)}): beyond it contacts can be missed."
+    )
+
+
+def _overlap_before(pair: ContactPair) -> str:
+    """Sentence on the overlap one step earlier."""
+    return f"One step earlier {pair.first} and {pair.second} overlapped by {pair.overlap:.3g} times the smaller radius."
+
+
+def _relative_motion(pair: ContactPair) -> str:
+    """Sentence on the approach velocity; empty if it is not finite."""
+    if not isfinite(pair.approach):
+        return ""
+    return f"They {'approach' if pair.approach >= 0.0 else 'separate'} at {abs(pair.approach):.3g} m/s."
+
+
+def _step_or_speed(pair: ContactPair, plan: Plan, time_step: float) -> str | None:
+    """The likely cause if it is a time step that is too long, or an impact above the planned `velocity_max`."""
+    velocity_remedy = f"set run.velocity_max to {SPEED_MARGIN * pair.impact_velocity:.3g} m/s"
+    if time_step > pair.stable_step:
+        description = (
+            f"The time step {time_step:.3g} s exceeds the stable step {pair.stable_step:.3g} s of this contact"
+        )
+        return f"{description}: lower run.time_step, or remove it and {velocity_remedy}."
+    if pair.impact_velocity > plan.velocity_max:
+        description = (
+            f"This overlap results from an impact at {pair.impact_velocity:.3g} m/s, above the planned "
+            f"{plan.velocity_max:.3g} m/s"
+        )
+        return f"{description}: {velocity_remedy}, or find the cause of this velocity."
+    return None
+
+
+def _advice(time_step: float, cause: str) -> str:
+    """Cause and remedies if the time step is stable for the contact and the impact is not above `velocity_max`."""
+    return f"{cause}. Lower run.time_step (now {time_step:.3g} s), or check for particles that overlap initially."
+
+
+_REASONS = {
+    "force": _force,
+    "displacement": _displacement,
+    "not_finite": _not_finite,
+    "overlap": _overlap,
+    "left_domain": _left_domain,
+    "wall": _wall,
+    "far": _far,
+    "liquid": _liquid,
+}
+
+
+# Diagnoses an aborted run on the host: finds the particles or walls that exceeded the limit.
+
+FIELDS = ("id", "radius", "mass", "position", "position_at_rebuild", "velocity", "force", "material", "fixed", "clump")
+"""Particle fields that the diagnosis reads."""
+TINY_MASS = 1e-300
+"""Mass [kg] of unused array entries."""
+
+
+@dataclass(frozen=True)
+class CandidatePairs:
+    """The n candidate pairs at their positions.
+
+    owner:     (n,) particle index
+    partner:   (n,) particle index, or -1 - wall index
+    overlap:   (n,) over the smaller radius, negative for a gap
+    approach:  (n,) approach velocity [m/s] along the normal
+    surface:   (n, 3) velocity of the partner's surface [m/s]
+    """
+
+    owner: np.ndarray
+    partner: np.ndarray
+    overlap: np.ndarray
+    approach: np.ndarray
+    surface: np.ndarray
+
+
+@np.errstate(all="ignore")  # velocities may be infinite
+def diagnose(code: int, particle: int, state: State, time: float, step_taken: bool, change: Change | None) -> Diagnosis:
+    """Diagnosis of an abort, with the contact pair of the largest overlap; None without a contact.
+
+    code:        abort code, see `limits`
+    particle:    id of the particle that exceeded the limit; unused for walls
+    time:        simulated time [s]
+    step_taken:  true if a step was taken; false if only the initial forces were computed
+    change:      insertion or change of walls since which no step was taken, or None
+
+    Runs on the host in float64. For a position that is not finite or a displacement above its limit, only contacts of
+    this particle one step earlier are considered.
+    """
+    if code == ABORT_WALL:
+        return Diagnosis(ABORT_REASONS[code], _fastest_wall(state), None, state.clock.time_step, step_taken, None)
+    arrays = copy_to_host(state, FIELDS, 0, state.capacities.particles)
+    arrays = {name: values.astype(float) if values.dtype.kind == "f" else values for name, values in arrays.items()}
+    if code == ABORT_OVERLAP and step_taken and change is None:
+        # The forces belong to the present positions, one step ahead of the time.
+        mass = np.maximum(arrays["mass"], TINY_MASS)
+        arrays["velocity"] += 0.5 * state.clock.time_step * arrays["force"] * (mobility_mask(arrays) / mass)[:, None]
+        time += state.clock.time_step
+    found = np.flatnonzero(arrays["id"] == particle)
+    index = int(found[0])  # a deleted particle is directly behind the others
+    body = _body(state.plan, arrays, index)
+    candidates = _candidate_pairs(code, state, arrays, time)
+    involved = (candidates.owner == index) | (candidates.partner == index)
+    considered = involved if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE) else np.ones_like(involved)
+    share = np.where(considered & (candidates.overlap > 0.0), candidates.overlap, 0.0)
+    pair = _contact_pair(state.plan, arrays, candidates, int(share.argmax())) if share.any() else None
+    return Diagnosis(ABORT_REASONS[code], body, pair, state.clock.time_step, step_taken, change)
+
+
+def _fastest_wall(state: State) -> Body:
+    """The force-controlled wall with the highest velocity."""
+    velocities = controlled_velocities(state)
+    index = int(np.nan_to_num(np.linalg.norm(velocities, axis=1), nan=np.inf).argmax())
+    wall = state.plan.walls[index]
+    return Body(f"wall {wall.name}", state.plan.materials[wall.material], _vector(velocities[index]), None)
+
+
+def _body(plan: Plan, arrays: dict[str, np.ndarray], index: int) -> Body:
+    """One particle as messages describe it; `index` in device order."""
+    velocity, material = arrays["velocity"][index], arrays["material"][index] if "material" in arrays else 0
+    clump = arrays["clump"][index] if "clump" in arrays else -1
+    return Body(
+        f"particle {arrays['id'][index]}{f' of clump {clump}' if clump >= 0 else ''}",
+        plan.materials[material],
+        _vector(velocity),
+        _vector(arrays["position"][index]),
+    )
+
+
+def _vector(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _candidate_pairs(code: int, state: State, arrays: dict[str, np.ndarray], time: float) -> CandidatePairs:
+    """All candidate pairs at their present positions; after a jump, at the positions before it."""
+    owner, _list_index, partner = candidate_pairs(state)
+    position, velocity = arrays["position"], arrays["velocity"]
+    if code in (ABORT_NOT_FINITE, ABORT_DISPLACEMENT, ABORT_FORCE):
+        position = position - state.clock.time_step * velocity
+        position = np.where(np.isfinite(position), position, arrays["position_at_rebuild"])
+    partner_index = np.maximum(partner, 0)
+    branch = position[owner] - state.plan.periodic_box.at(time).nearest_images(position[partner_index], position[owner])
+    distance = np.linalg.norm(branch, axis=1)
+    overlap = arrays["radius"][owner] + arrays["radius"][partner_index] - distance
+    normal = branch / np.maximum(distance, 1e-3 * arrays["radius"][owner])[:, None]
+    surface_velocity, smaller = (
+        velocity[partner_index],
+        np.minimum(arrays["radius"][owner], arrays["radius"][partner_index]),
+    )
+    face = -1 - partner
+    partner[partner < 0] = -1 - walls_of(state, partner[partner < 0])
+    for index in range(len(state.plan.walls)):
+        of_wall = partner == -1 - index
+        points = state.plan.periodic_box.wrap(position[owner[of_wall]])
+        gap, normal[of_wall], surface_velocity[of_wall] = _wall_gaps(state, index, face[of_wall], points, time)
+        smaller[of_wall] = arrays["radius"][owner[of_wall]]
+        overlap[of_wall] = smaller[of_wall] - gap
+    approach = -np.sum((velocity[owner] - surface_velocity) * normal, axis=1)
+    return CandidatePairs(owner, partner, overlap / smaller, approach, surface_velocity)
+
+
+def _wall_gaps(
+    state: State, index: int, face: np.ndarray, points: np.ndarray, time: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gap and surface velocity of a wall.
+
+    index:    wall index
+    face:     (n,) wall index, or wall count + triangle index
+    points:   (n, 3) [m], inside the periodic box
+    time:     [s]
+    Returns:  gap (n,) [m] or FAR_AWAY, unit normal (n, 3), velocity (n, 3) [m/s]
+    """
+    shape, wall_pose = state.plan.walls[index].shape, pose(state.wall_motions[index], np.array([time]))
+    rotation, center = (
+        wall_pose.rotation[0],
+        wall_pose.offset[0] + wall_pose.pivot + controlled_displacements(state)[index],
+    )
+    velocity = wall_pose.velocity[0] + controlled_velocities(state)[index]
+    local = (points - center) @ rotation + wall_pose.pivot
+    if isinstance(shape, Mesh):
+        first = len(state.plan.walls) + state.plan.first_triangle(index)
+        gap, normal = reference_contact(shape.adjacency, face - first, local)
+    else:
+        gap, normal = shape.kind.reference_closest(local, shape.parameters)
+    return gap, normal @ rotation.T, velocity + np.cross(wall_pose.angular_velocity[0], points - center)
+
+
+def _contact_pair(plan: Plan, arrays: dict[str, np.ndarray], candidates: CandidatePairs, worst: int) -> ContactPair:
+    """The worst candidate pair, and the longest time step that is stable for its present state."""
+    owner, partner = int(candidates.owner[worst]), int(candidates.partner[worst])
+    first = _body(plan, arrays, owner)
+    radius, mass = float(arrays["radius"][owner]), float(arrays["mass"][owner])
+    radius_eff, mass_eff, smaller = radius, mass, radius
+    if partner >= 0:
+        second = _body(plan, arrays, partner)
+        radius_eff = radius * arrays["radius"][partner] / (radius + arrays["radius"][partner])
+        both = {name: values[[owner, partner]] for name, values in arrays.items()}
+        mass_eff = float(1.0 / (mobility_mask(both) / both["mass"]).sum())
+        smaller = min(radius, float(arrays["radius"][partner]))
+    else:
+        wall = plan.walls[-1 - partner]
+        second = Body(f"wall {wall.name}", plan.materials[wall.material], _vector(candidates.surface[worst]), None)
+    overlap, approach = float(candidates.overlap[worst]), float(candidates.approach[worst])
+    material = plan.pair_materials[first.material, second.material]
+    touching = TouchingPair("", (first.material, second.material), material, smaller, radius_eff, mass_eff)
+    velocity = impact_velocity(plan.laws, touching, overlap * smaller, approach)
+    material_solid = plan.solids[first.material]
+    pair_case = PairCase(
+        "", material, radius_eff, mass_eff, radius, smaller, material_solid, _contact_count(candidates, owner, partner)
+    )
+    stable = stable_step(pair_case, plan.law, velocity)
+    return ContactPair(
+        first, second, overlap, approach, velocity, stable, smaller, radius_eff, mass_eff,
+        _weight_pressure(plan, arrays),
+    )  # fmt: skip
+
+
+def _weight_pressure(plan: Plan, arrays: dict[str, np.ndarray]) -> float:
+    """Pressure [Pa] of the weight of all mobile particles, those not inserted yet included, on the present bed.
+
+    The section of the bed is that of its bounding box across gravity; 0 without gravity or mobile particles.
+    """
+    gravity, mobile = np.array(plan.gravity), (mobility_mask(arrays) > 0.0) & (arrays["mass"] > TINY_MASS)
+    magnitude = float(np.linalg.norm(gravity))
+    if not magnitude or not mobile.any():
+        return 0.0
+    reach = np.where(mobile, arrays["radius"], 0.0)[mobile, None]
+    size = (arrays["position"][mobile] + reach).max(axis=0) - (arrays["position"][mobile] - reach).min(axis=0)
+    section = np.abs(gravity) / magnitude @ [size[1] * size[2], size[2] * size[0], size[0] * size[1]]
+    planned = sum(group.sphere_count for group in plan.groups if not group.fixed) / mobile.sum()
+    return float(magnitude * arrays["mass"][mobile].sum() * planned / section)
+
+
+def _contact_count(candidates: CandidatePairs, *ends: int) -> int:
+    """Number of contacts of the body that has more, of `ends` (negative: wall, not counted)."""
+    touching = candidates.overlap > 0.0
+    pairs = {
+        (min(ends), max(ends)) for ends in zip(candidates.owner[touching], candidates.partner[touching], strict=True)
+    }
+    return max(sum(end in pair for pair in pairs) for end in ends if end >= 0)

@@ -1,0 +1,491 @@
+"""Batched particle contacts for CPUs: gather values into columns, evaluate the forces, scatter the results.
+
+The loop over the columns has no branch and no indirect address, so that the compiler vectorizes it: four (float64) or
+eight (float32) contacts per instruction. The loops before and after it contain the indirect addresses and the
+branches. A batch holds a few neighbor lists, so that the columns remain in the cache.
+"""
+
+from typing import Any
+
+from granflow.engine.box import build_image_velocity, build_minimum_image
+from granflow.engine.codes import ABORT_OVERLAP
+from granflow.engine.contact import build_count_collision
+from granflow.engine.history import build_add_plastic_loss, build_end_contact
+from granflow.engine.liquid import build_distant_force, build_form_bridge, build_return_liquid, transfers_liquid
+from granflow.engine.pair import (
+    build_boundary_work,
+    build_constants,
+    build_contact_mass,
+    build_effective,
+    build_in_contact,
+    build_pair_constants,
+    build_pair_force,
+    build_pair_kinematics,
+    build_pair_number,
+    build_read_slots,
+    build_slot_history,
+    build_slot_vector,
+    build_sphere_kinematics,
+    effective_value,
+    member,
+    normal_time_step,
+)
+from granflow.engine.state import BATCH, LANES, State
+from granflow.engine.sums import add_energy, build_list_shares, build_to_grid, holds_sums
+from granflow.kernel_language import ti
+from granflow.plan.capacities import DAMPING, ENERGY, FORCE, FRICTION, LOSSES, ROLLING, TORQUE
+
+# Columns of a batch of contacts, one per component of a vector, and sums over the contacts of a particle.
+
+
+@ti.func
+def store_vector(columns: ti.template(), worker, entry, vector):
+    """Write the components of a vector into columns, one column [worker, entry] per component."""
+    for k in ti.static(range(len(columns))):
+        columns[k][worker, entry] = vector[k]
+
+
+def build_add_to_sums(state: State) -> Any:
+    """Device function (worker, i, first, component, terms): add three terms to the sums of particle i.
+
+    `first`: first particle of the chunk; `component`: of the first term, 0 for a force and 3 for a torque.
+
+    Writes:  force, torque; or the sums of the batch, see `holds_sums`
+    """
+    batch, particles, exact = state.batch, state.particles, holds_sums(state)
+
+    @ti.func
+    def add_to_sums(worker, i, first, component: ti.template(), terms):
+        if ti.static(not exact):
+            for k in ti.static(range(3)):
+                number = ti.static(component + k)
+                batch.sums[worker, i - first][number] = batch.sums[worker, i - first][number] + terms[k]
+        elif ti.static(component == 0):
+            particles.force[i] = particles.force[i] + terms
+        else:
+            particles.torque[i] = particles.torque[i] + terms
+
+    return add_to_sums
+
+
+# First part of a batch of contacts: the overlapping pairs of a few neighbor lists; pairs apart one at a
+# time.
+
+
+def build_collect(state: State) -> Any:
+    """Device function that adds the contacts of one neighbor list to the batch.
+
+    Arguments: worker, chunk, i, first entry of the batch, first and last particle of the chunk, pose, time step.
+
+    Returns the end of the entries. Candidate pairs without contact are overwritten by the next entry; open contacts
+    end.
+
+    Reads:   position, radius, neighbor lists, in_contact
+    Writes:  list_index, owner, partner, branch of the batch; history, in_contact, losses, abort; with a model that acts
+             at a distance, sums
+    """
+    particles, neighbors, control, batch = state.particles, state.neighbors, state.control, state.batch
+    real, has_history = state.backend.real, bool(neighbors.history)
+    in_contact, end_contact = build_in_contact(real), build_end_contact(state)
+    effective, minimum_image = build_effective(state, False), build_minimum_image(state)
+    pair_constants, add_plastic_loss = build_pair_constants(state), build_add_plastic_loss(state)
+    max_overlap, acts_at_distance = state.parameter("max_overlap"), state.plan.laws.acts_at_distance
+    attract = _build_attract(state) if acts_at_distance else None
+
+    @ti.func
+    def end_lost_contact(chunk, list_index, i, j, dt):
+        energy_lost = end_contact(list_index, pair_constants(i, j), effective(i, j), dt)
+        add_plastic_loss(chunk, j, energy_lost)
+
+    @ti.func
+    def check_overlap(i, square, reach, overlap_limit):
+        distance_limit = reach - overlap_limit
+        if square < distance_limit * distance_limit:
+            ti.atomic_max(control.abort[0], ABORT_OVERLAP)
+            ti.atomic_min(control.abort_particle[0], particles.id[i])
+
+    @ti.func
+    def collect(worker, chunk, i, begin, first, last, pose, dt):
+        position, radius, overlap_ratio = particles.position[i], particles.radius[i], max_overlap()
+        end = begin
+        for list_index in range(neighbors.list_walls_end[i], neighbors.list_end[i]):
+            j = neighbors.partner[list_index]
+            branch = ti.cast(minimum_image(position, particles.position[j], pose), real)
+            radius_partner = particles.radius[j]
+            batch.list_index[worker, end] = list_index
+            batch.owner[worker, end] = i
+            batch.partner[worker, end] = j
+            batch.radius_partner[worker, end] = radius_partner
+            for axis in ti.static(range(3)):
+                batch.branch[axis][worker, end] = branch[axis]
+            square, reach = branch.dot(branch), radius + radius_partner
+            near = in_contact(square, reach)
+            end += ti.cast(near, ti.i32)
+            radius_min = ti.select(radius < radius_partner, radius, radius_partner)
+            check_overlap(i, square, reach, overlap_ratio * radius_min)
+            if ti.static(acts_at_distance):
+                if not near:
+                    attract(worker, chunk, i, j, list_index, branch, reach, first, last, pose, dt)
+            elif ti.static(has_history):
+                if neighbors.in_contact[list_index] == 1 and not near:
+                    end_lost_contact(chunk, list_index, i, j, dt)
+        return end
+
+    return collect
+
+
+def _build_attract(state: State) -> Any:
+    """Device function: attraction of a pair without overlap, one at a time; ends the contact beyond the range.
+
+    Arguments: worker, chunk, i, j, list index, branch vector and sum of the radii [m], first and last particle of the
+    chunk, pose, time step. The force is rounded for the exact sums.
+
+    Reads:   radius, mass, history, pair_constants, law_parameters
+    Writes:  sums of the batch, history, in_contact, losses, boundary_work, liquid_film
+    """
+    features, to_grid, shift = (
+        state.plan.features,
+        build_to_grid(state.backend.real),
+        state.parameter("shift", FORCE),
+    )
+    add_to_sums, return_liquid = build_add_to_sums(state), build_return_liquid(state)
+    distant_force, add_boundary_work = build_distant_force(state, False), build_boundary_work(state)
+    end_contact, add_plastic_loss = build_end_contact(state), build_add_plastic_loss(state)
+    pair_constants, effective, has_history = (
+        build_pair_constants(state),
+        build_effective(state, False),
+        bool(state.neighbors.history),
+    )
+
+    @ti.func
+    def attract(worker, chunk, i, j, list_index, branch, contact_distance, first, last, pose, dt):
+        distance = ti.sqrt(branch.dot(branch))
+        constants = pair_constants(i, j)
+        if distance < contact_distance + constants.cohesion.range:
+            overlap = ti.min(contact_distance - distance, 0.0)
+            attraction = distant_force(chunk, i, list_index, j, overlap, dt)
+            force = to_grid(-attraction / distance * branch, shift())
+            added = ti.cast(force, ti.f64)
+            add_to_sums(worker, i, first, 0, added)
+            if j >= first and j < last:
+                add_to_sums(worker, j, first, 0, -added)
+            if ti.static(features.energy_budget and features.lees_edwards):
+                add_boundary_work(chunk, i, j, force, pose, dt)
+        elif ti.static(has_history):
+            return_liquid(chunk, i, j, list_index)
+            add_plastic_loss(chunk, j, end_contact(list_index, constants, effective(i, j), dt))
+
+    return attract
+
+
+# Second part of a batch of contacts: gather velocities, masses, constants and histories of its pairs into
+# columns.
+
+
+def build_gather(state: State) -> Any:
+    """Device function (worker, chunk, end, pose, time_step): gather velocities, masses and histories into columns.
+
+    Evaluates `NormalLaw.prepare` and forms bridges, which have branches, so that `evaluate` has none.
+
+    Reads:   velocity, velocity_synchronized, angular_velocity, radius, mass, history
+    Writes:  columns of the batch, liquid_film
+    """
+    plan, particles, control, batch = state.plan, state.particles, state.control, state.batch
+    features, stored, pair_number = plan.features, state.neighbors.history, build_pair_number(state)
+    slots, law_prepares = list(stored), plan.laws.normal.prepares
+    image_velocity, contact_mass, prepare = (
+        build_image_velocity(state),
+        build_contact_mass(state),
+        _build_prepare(state),
+    )
+    liquid = transfers_liquid(state)
+    with_bridge = _build_with_bridge(state) if liquid else None
+
+    @ti.func
+    def gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt):
+        for slot in ti.static(slots):
+            vector = stored[slot][list_index]
+            if ti.static(slot == "normal" and law_prepares):
+                vector = prepare(worker, entry, i, j, velocity_rel, vector, dt)
+            elif ti.static(slot == "cohesion" and liquid):
+                vector = with_bridge(worker, chunk, entry, i, j, vector)
+            store_vector(batch.history[slot], worker, entry, vector)
+
+    @ti.func
+    def gather(worker, chunk, end, pose, dt):
+        for entry in range(end):
+            i, j, list_index = batch.owner[worker, entry], batch.partner[worker, entry], batch.list_index[worker, entry]
+            batch.radius[worker, entry] = particles.radius[i]
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, pose)
+            velocity_rel = velocity_rel_half
+            store_vector(batch.velocity_rel_half, worker, entry, velocity_rel_half)
+            if ti.static(features.rate_dependent):
+                velocity_rel = (
+                    particles.velocity_synchronized[i] - particles.velocity_synchronized[j] - image_velocity(i, j, pose)
+                )
+                store_vector(batch.velocity_rel, worker, entry, velocity_rel)
+            batch.mass[worker, entry] = contact_mass(i)
+            batch.mass_partner[worker, entry] = contact_mass(j)
+            if ti.static(features.rotation):
+                store_vector(batch.angular_velocity, worker, entry, particles.angular_velocity[i])
+                store_vector(batch.angular_velocity_partner, worker, entry, particles.angular_velocity[j])
+            gather_history(worker, chunk, entry, i, j, list_index, velocity_rel, dt)
+            if ti.static(not features.one_material):
+                store_vector(batch.constants, worker, entry, control.pair_constants[pair_number(i, j)])
+
+    return gather
+
+
+@ti.func
+def branch_of(batch: ti.template(), worker, entry):
+    """Branch vector [m] of an entry of the batch."""
+    return ti.Vector([batch.branch[0][worker, entry], batch.branch[1][worker, entry], batch.branch[2][worker, entry]])
+
+
+def _build_with_bridge(state: State) -> Any:
+    """Device function (worker, chunk, entry, i, j, components) -> components of the cohesion history, with a bridge.
+
+    Reads:   branch vector of the batch, radius, mass, liquid_film_before, pair_constants, law_parameters
+    Writes:  liquid_film
+    """
+    laws, particles, batch, effective = state.plan.laws, state.particles, state.batch, build_effective(state, False)
+    form_bridge, pair_constants = build_form_bridge(state), build_pair_constants(state)
+    history_of, vector_of = build_slot_history(laws, "cohesion"), build_slot_vector(laws, "cohesion")
+
+    @ti.func
+    def with_bridge(worker, chunk, entry, i, j, components):
+        branch = branch_of(batch, worker, entry)
+        overlap = particles.radius[i] + particles.radius[j] - ti.sqrt(branch.dot(branch))
+        history = history_of(components)
+        return vector_of(form_bridge(chunk, i, j, pair_constants(i, j), effective(i, j), overlap, history))
+
+    return with_bridge
+
+
+def _build_prepare(state: State) -> Any:
+    """Device function (worker, entry, i, j, relative velocity [m/s], normal history, time_step) -> normal history.
+
+    Evaluates the branches of the normal model.
+
+    Reads:  branch vector of the batch, radius, mass, pair_constants, law_parameters
+    """
+    plan, particles, batch, law = state.plan, state.particles, state.batch, state.plan.laws.normal
+    pair_constants = build_pair_constants(state)
+    history_of, vector_of = build_slot_history(plan.laws, "normal"), build_slot_vector(plan.laws, "normal")
+    contact_mass, longest_time_step = build_contact_mass(state), state.parameter("longest_time_step")
+
+    @ti.func
+    def prepare(worker, entry, i, j, velocity_rel, vector, dt):
+        branch = branch_of(batch, worker, entry)
+        distance = ti.sqrt(branch.dot(branch))
+        radius, radius_partner = particles.radius[i], particles.radius[j]
+        contact = ti.Struct(
+            radius_eff=effective_value(radius, radius_partner),
+            mass_eff=effective_value(contact_mass(i), contact_mass(j)),
+            time_step=normal_time_step(dt, longest_time_step()),
+            overlap=radius + radius_partner - distance,
+            overlap_rate=-velocity_rel.dot(1.0 / distance * branch),
+        )
+        return vector_of(law.prepare(pair_constants(i, j).normal, contact, history_of(vector)))
+
+    return prepare
+
+
+def build_batched_forces(state: State) -> Any:
+    """Device function (worker, chunk, first, last, pose, time_step): add the contacts between particles.
+
+    Reads:   position, velocity, velocity_synchronized, angular_velocity, radius, mass, neighbor lists
+    Writes:  force, torque, history, losses, liquid_film, abort, batch of the worker
+    """
+    collect, gather, evaluate, scatter = (
+        build_collect(state),
+        build_gather(state),
+        _build_evaluate(state),
+        _build_scatter(state),
+    )
+
+    @ti.func
+    def batched_forces(worker, chunk, first, last, pose, dt):
+        i = first
+        while i < last:
+            found = 0
+            while i < last and found < BATCH:
+                found = collect(worker, chunk, i, found, first, last, pose, dt)
+                i += 1
+            gather(worker, chunk, found, pose, dt)
+            evaluate(worker, (found + LANES - 1) // LANES * LANES, dt)
+            scatter(worker, chunk, found, first, last, pose, dt)
+
+    return batched_forces
+
+
+def _build_load(state: State) -> Any:
+    """Device functions (worker, entry) that load vectors, bodies, angular velocities and history from the columns.
+
+    Reads:  columns of the batch
+    """
+    batch, real, sizes = state.batch, state.backend.real, state.plan.history
+
+    @ti.func
+    def load_vector(columns: ti.template(), worker, entry, count: ti.template()):
+        """Vector of `count` components from columns; zeros without columns."""
+        vector = ti.Vector.zero(real, count)
+        for k in ti.static(range(len(columns))):
+            vector[k] = columns[k][worker, entry]
+        return vector
+
+    @ti.func
+    def load_bodies(worker, entry):
+        radius, radius_partner = batch.radius[worker, entry], batch.radius_partner[worker, entry]
+        mass, mass_partner = batch.mass[worker, entry], batch.mass_partner[worker, entry]
+        inertia, inertia_partner = 0.4 * mass * radius * radius, 0.4 * mass_partner * radius_partner * radius_partner
+        return ti.Struct(
+            radius_eff=effective_value(radius, radius_partner),
+            mass_eff=effective_value(mass, mass_partner),
+            inertia_eff=effective_value(inertia, inertia_partner),
+        )
+
+    @ti.func
+    def load_angular_velocities(worker, entry):
+        return ti.Struct(
+            first=load_vector(batch.angular_velocity, worker, entry, 3),
+            partner=load_vector(batch.angular_velocity_partner, worker, entry, 3),
+        )
+
+    @ti.func
+    def load_slot(slot: ti.template(), worker, entry):
+        return load_vector(batch.history[slot], worker, entry, sizes[slot])
+
+    load_history = build_read_slots(state.plan.laws, load_slot, sizes)
+    return load_vector, load_bodies, load_angular_velocities, load_history
+
+
+def _build_evaluate(state: State) -> Any:
+    """Function (worker, end, time_step): force and torque of all entries, column by column; results replace the inputs.
+
+    The force replaces the branch vector, the torques replace the angular velocities, the new histories the old ones.
+    Forces and torques are rounded for the exact sums, losses are in their units. It is a separate function
+    (`ti.real_func`), because the compiler does not vectorize the loop inside a large kernel.
+
+    Reads:   columns of the batch, pair_constants, law_parameters
+    Writes:  columns of the batch
+    """
+    plan, control, batch, real = state.plan, state.control, state.batch, state.backend.real
+    features, constant_count = plan.features, plan.pair_constants.shape[1]
+    sphere_kinematics, pair_force = build_sphere_kinematics(plan), build_pair_force(plan, True)
+    load_vector, load_bodies, load_angular_velocities, load_history = _build_load(state)
+    constants_of, store_results = build_constants(plan.laws), _build_store_results(state)
+    longest_time_step, shift_of, per_unit = (
+        state.parameter(name) for name in ("longest_time_step", "shift", "per_unit")
+    )
+
+    @ti.func
+    def kinematics_of(worker, entry, dt):
+        return sphere_kinematics(
+            batch.radius[worker, entry],
+            batch.radius_partner[worker, entry],
+            load_vector(batch.branch, worker, entry, 3),
+            load_vector(batch.velocity_rel_half, worker, entry, 3),
+            load_vector(batch.velocity_rel, worker, entry, 3),
+            dt,
+        )
+
+    @ti.real_func
+    def evaluate(worker: ti.i32, end: ti.i32, dt: real):
+        shared, parameters = control.pair_constants[0], control.law_parameters[0]
+        longest, shift, units = longest_time_step(), shift_of(), per_unit()
+        for entry in range(end):
+            row = shared
+            if ti.static(not features.one_material):
+                row = load_vector(batch.constants, worker, entry, constant_count)
+            found = pair_force(
+                constants_of(row, parameters),
+                load_bodies(worker, entry),
+                kinematics_of(worker, entry, dt),
+                load_angular_velocities(worker, entry),
+                load_history(worker, entry),
+                dt,
+                longest,
+            )
+            store_results(worker, entry, found, shift, units)
+
+    return evaluate
+
+
+def _build_store_results(state: State) -> Any:
+    """Device function (worker, entry, result of the pair force, shift, per_unit): write it to the columns.
+
+    Writes:  columns of the batch
+    """
+    plan, batch, to_grid = state.plan, state.batch, build_to_grid(state.backend.real)
+    slots = [(slot, build_slot_vector(plan.laws, slot)) for slot in plan.history]
+
+    @ti.func
+    def store_results(worker, entry, found, shift, units):
+        store_vector(batch.branch, worker, entry, to_grid(found.force, shift[FORCE]))
+        store_vector(batch.angular_velocity, worker, entry, to_grid(found.torque, shift[TORQUE]))
+        store_vector(batch.angular_velocity_partner, worker, entry, to_grid(found.torque_partner, shift[TORQUE]))
+        for slot, vector_of in ti.static(slots):
+            store_vector(batch.history[slot], worker, entry, vector_of(member(found.history, slot)))
+        if ti.static(plan.features.energy_budget):
+            store_vector(batch.losses, worker, entry, units[ENERGY] * found.losses)
+
+    return store_results
+
+
+def _build_scatter(state: State) -> Any:
+    """Device function (worker, chunk, end, first, last, pose, time_step): add forces and write the histories back.
+
+    Forces are added to both partners, if the second is in this chunk.
+
+    Reads:   columns of the batch
+    Writes:  force, torque or sums of the batch; history, in_contact, losses, boundary_work, collisions
+    """
+    plan, neighbors, control, batch = state.plan, state.neighbors, state.control, state.batch
+    features, history, slots = plan.features, neighbors.history, list(neighbors.history)
+    list_shares, add_boundary_work = build_list_shares(state), build_boundary_work(state)
+    add_to_sums, loss_count = build_add_to_sums(state), len(LOSSES)
+    pair_kinematics, effective = build_pair_kinematics(state, False), build_effective(state, False)
+    count_collision = build_count_collision(state, False)
+
+    @ti.func
+    def vector_of(columns: ti.template(), worker, entry):
+        return ti.Vector([columns[0][worker, entry], columns[1][worker, entry], columns[2][worker, entry]])
+
+    @ti.func
+    def store_history(worker, entry, list_index):
+        if ti.static(len(history) > 0):
+            neighbors.in_contact[list_index] = 1
+        for slot in ti.static(slots):
+            for k in ti.static(range(len(batch.history[slot]))):
+                history[slot][list_index][k] = batch.history[slot][k][worker, entry]
+
+    @ti.func
+    def add_losses(worker, chunk, j, entry):
+        shares = list_shares(chunk, j)
+        for k, loss in ti.static(enumerate((FRICTION, ROLLING, DAMPING))):
+            add_energy(control.losses, chunk, loss, loss_count, shares, batch.losses[k][worker, entry])
+
+    @ti.func
+    def scatter(worker, chunk, end, first, last, pose, dt):
+        for entry in range(end):
+            i, j = batch.owner[worker, entry], batch.partner[worker, entry]
+            force = ti.cast(vector_of(batch.branch, worker, entry), ti.f64)
+            add_to_sums(worker, i, first, 0, force)
+            if ti.static(features.rotation):
+                add_to_sums(worker, i, first, 3, ti.cast(vector_of(batch.angular_velocity, worker, entry), ti.f64))
+            if j >= first and j < last:
+                add_to_sums(worker, j, first, 0, -force)
+                if ti.static(features.rotation):
+                    torque_partner = vector_of(batch.angular_velocity_partner, worker, entry)
+                    add_to_sums(worker, j, first, 3, ti.cast(torque_partner, ti.f64))
+            if ti.static(features.collision_energies):
+                rate = pair_kinematics(i, j, pose, dt).overlap_rate_half
+                count_collision(chunk, batch.list_index[worker, entry], j, effective(i, j), rate)
+            store_history(worker, entry, batch.list_index[worker, entry])
+            if ti.static(features.energy_budget):
+                add_losses(worker, chunk, j, entry)
+                if ti.static(features.lees_edwards):
+                    add_boundary_work(chunk, i, j, vector_of(batch.branch, worker, entry), pose, dt)
+
+    return scatter

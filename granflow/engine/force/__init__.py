@@ -1,1 +1,0 @@
-"""Pair and wall forces, and output of contacts."""

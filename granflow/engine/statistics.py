@@ -1,0 +1,523 @@
+"""Contact output: one record per contact. Its arrays exist only if the scene requests contacts."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.box import build_image_velocity, build_minimum_image, build_wrap_position
+from granflow.engine.fields import FieldBlock
+from granflow.engine.history import build_read_history, vector_components
+from granflow.engine.host import FieldTable, consecutive, list_table
+from granflow.engine.liquid import build_in_range, transfers_liquid
+from granflow.engine.pair import (
+    build_any_kinematics,
+    build_effective,
+    build_normal_force,
+    build_pair_constants,
+    build_sphere_kinematics,
+)
+from granflow.engine.state import State
+from granflow.engine.sums import SHARES, build_list_shares, carried, energy_words, exact_total, exact_totals, to_units
+from granflow.engine.walls import WallGeometry, triangles_of, walls_of
+from granflow.kernel_language import ti
+from granflow.plan.capacities import ENERGY
+
+AT_LIMIT = 1.0 - 1e-6
+"""Share of the Coulomb limit above which a contact counts as sliding."""
+
+
+def candidate_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All candidate pairs on the host; pairs across two chunks occur twice.
+
+    Returns:  owner (p,), list index (p,) and partner (p,), int64; a negative partner is a wall, see `walls_of`
+    """
+    rows = state.built(list_table).take(slice(0, state.count))
+    begin, end = rows["begin"], rows["end"]
+    owner, list_index = np.repeat(np.arange(state.count), end - begin), consecutive(begin, end - begin).astype(np.int64)
+    return owner, list_index, state.built(_partner_table).take(list_index)["partner"].astype(np.int64)
+
+
+def _position_table(state: State) -> FieldTable:
+    """Table of the positions of all particles."""
+    return FieldTable({"position": state.particles.position})
+
+
+def _partner_table(state: State) -> FieldTable:
+    """Table of the partners of all list entries."""
+    return FieldTable({"partner": state.neighbors.partner})
+
+
+class ContactOutput:
+    """Forces and overlaps of all contacts at the present positions; the contact histories do not change."""
+
+    def __init__(self, state: State) -> None:
+        self.state, self.block = state, FieldBlock(state.backend)
+        self.capacity = state.capacities.list_entries
+        real = state.backend.real
+        self.numbers = self.block.vector(real, self.capacity, count=len(QUANTITIES))
+        self.force = self.block.vector(real, self.capacity)
+        self.contact_point = self.block.vector(state.backend.position_real, self.capacity)
+        self.block.finish()
+        recorded = {"numbers": self.numbers, "force": self.force, "contact_point": self.contact_point}
+        self._table = FieldTable(recorded | state.neighbors.history)
+        self._evaluate = _build_evaluate(state, self)
+
+    def take(self, ids: np.ndarray, pose: int) -> dict[str, np.ndarray]:
+        """All contacts, each once, as in Snapshot.contacts, with n entries or (n, 3) arrays.
+
+        ids:      (particles,) of all particles that lists can contain, in device order
+        pose:     index of the wall poses at the present time, see `WallPoses.index_at`
+        Returns:  arrays by the names of CONTACT_QUANTITIES and the normal history; the particle with the lower id is
+                  the first of a contact, and contacts are in the order of the ids; on MPI ranks, those of all ranks on
+                  the root
+        """
+        found = self.state.ranks.gathered(self._of_this_process(ids, pose))
+        order = np.lexsort([found[name] for name in ("triangle", "wall", "id_j", "id_i")])
+        return {name: values[order] for name, values in found.items()}
+
+    def _of_this_process(self, ids: np.ndarray, pose: int) -> dict[str, np.ndarray]:
+        """As `take`, in any order, without those that another rank takes."""
+        state, owner, partner, entries = self.state, *self._pairs(ids, pose)
+        found = dict(zip(QUANTITIES, entries["numbers"].T.astype(float), strict=True))
+        normal_history = self._history(entries, found["overlap"])
+        loading = found["overlap"] >= normal_history["overlap_max"]
+        other, with_wall = np.maximum(partner, 0), partner < 0
+        wall, triangle = (np.full(len(partner), -1, np.int32) for _ in range(2))
+        wall[with_wall] = walls_of(state, partner[with_wall])
+        triangle[with_wall] = triangles_of(state, partner[with_wall])
+        box = state.plan.periodic_box.at(state.clock.time)
+        position = box.wrap(state.built(_position_table).take(slice(0, len(ids)))["position"].astype(float))
+        friction_limit, first = found.pop("friction_limit"), position[owner]
+        second = box.nearest_images(position[other], first)
+        sliding = (friction_limit > 0.0) & (found["tangential_force"] >= AT_LIMIT * friction_limit)
+        return (
+            found
+            | normal_history
+            | {
+                "id_i": ids[owner].astype(np.int64),
+                "id_j": np.where(with_wall, -1, ids[other]).astype(np.int64),
+                "wall": wall,
+                "triangle": triangle,
+                "position_i": first,
+                "position_j": np.where(with_wall[:, None], entries["contact_point"], second),
+                "force": entries["force"].astype(float),
+                "unloading": np.where(loading, 0, 1).astype(np.uint8),
+                "sliding": sliding.astype(np.uint8),
+            }
+        )
+
+    def _pairs(self, ids: np.ndarray, pose: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Owner and partner (n,) of all contacts, each pair once, and the arrays of their list entries.
+
+        Of a pair in two lists, that of the particle with the lower id counts. A pair in one list is turned if its owner
+        has the higher id: forces and vectors of the history change their sign.
+        """
+        state = self.state
+        if state.count:
+            self._evaluate(state.count, pose, state.clock.time_step)
+        owner, list_index, partner = candidate_pairs(state)
+        entries, size = self._table.take(list_index), state.plan.chunk_size
+        id_partner = np.where(partner < 0, np.iinfo(np.int32).max, ids[np.maximum(partner, 0)])
+        counts = (ids[owner] < id_partner) | (owner // size == partner // size)
+        is_contact = counts & (entries["numbers"][:, OVERLAP] > 0.0)
+        owner, partner, turned = (each[is_contact] for each in (owner, partner, ids[owner] > id_partner))
+        entries = {name: each[is_contact] for name, each in entries.items()}
+        owner, partner = np.where(turned, partner, owner), np.where(turned, owner, partner)
+        entries["force"][turned] *= -1.0
+        for slot in state.neighbors.history:
+            entries[slot][turned] *= np.where(vector_components(state, slot), -1, 1).astype(entries[slot].dtype)
+        # -0.0 + 0.0 is 0.0: the sign of a zero depends on the list that contains the pair.
+        return owner, partner, {name: each + 0.0 for name, each in entries.items()}
+
+    def _history(self, entries: Mapping[str, np.ndarray], overlap: np.ndarray) -> dict[str, np.ndarray]:
+        """Maximum overlap [m] and restitution (n,), without a history the overlap itself and 1, and shown histories.
+
+        Fields of other models than the normal one have the slot as prefix.
+        """
+        found = {"overlap_max": overlap, "restitution": np.ones(len(overlap))}
+        for slot, fields in self.state.plan.laws.history.items():
+            begin = 0
+            for each in fields:
+                if each.in_output:
+                    columns = entries[slot][:, begin : begin + each.size]
+                    name = each.name if slot == "normal" else f"{slot}_{each.name}"
+                    found[name] = (columns if each.size > 1 else columns[:, 0]).astype(float)
+                begin += each.size
+        return found
+
+
+QUANTITIES = ("overlap", "normal_force", "tangential_force", "friction_limit")
+"""Quantities that `_build_evaluate` records for each list entry, in N except for the overlap in m."""
+OVERLAP, NORMAL, TANGENTIAL, LIMIT = range(len(QUANTITIES))
+
+
+def _build_evaluate(state: State, output: ContactOutput) -> Callable[..., None]:
+    """Kernel (count, pose, time_step): evaluate all list entries.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Writes:  numbers, force, contact_point of `output`
+    """
+    particles, neighbors, real = state.particles, state.neighbors, state.backend.real
+    any_kinematics, read_history = build_any_kinematics(state), build_read_history(state)
+    pair_constants = build_pair_constants(state)
+    normal_force_of, surface_forces = build_normal_force(state.plan.laws, False), _build_surface_forces(state)
+    numbers, contact_point_of = output.numbers, _build_contact_point(state)
+
+    @ti.kernel
+    def evaluate(count: ti.i32, pose: ti.i32, dt: real):
+        for i in range(count):
+            for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                j = neighbors.partner[list_index]
+                normal, contact = any_kinematics(i, j, pose, dt)
+                numbers[list_index][OVERLAP] = contact.overlap
+                if contact.overlap > 0.0:
+                    constants = pair_constants(i, j)
+                    history = read_history(list_index)
+                    normal_force, load, _viscous, _new = normal_force_of(constants, contact, history)
+                    tangential, size, limit = surface_forces(constants, contact, load, history, particles.velocity[i])
+                    numbers[list_index][NORMAL] = normal_force
+                    numbers[list_index][TANGENTIAL] = size
+                    numbers[list_index][LIMIT] = limit
+                    output.contact_point[list_index] = contact_point_of(i, j, pose)
+                    output.force[list_index] = normal_force * normal + tangential
+
+    return evaluate
+
+
+def _build_contact_point(state: State) -> Any:
+    """Device function (i, j, pose): contact point [m] with a wall; for particles the wrapped position of i.
+
+    Reads:  position, walls
+    """
+    geometry, wrap_position = WallGeometry(state), build_wrap_position(state)
+
+    @ti.func
+    def contact_point_of(i, j, pose):
+        contact_point = wrap_position(state.particles.position[i])
+        if ti.static(state.plan.has_walls):
+            if j < 0:
+                gap, direction = geometry.closest(-1 - j, pose, contact_point)
+                contact_point -= gap * direction
+        return contact_point
+
+    return contact_point_of
+
+
+def _build_surface_forces(state: State) -> Any:
+    """Device function (constants, contact, load, history, a vector): tangential force [N], its size and limit [N].
+
+    The vector gives the type of the force; without a tangential model all are 0.
+    """
+    laws = state.plan.laws
+
+    @ti.func
+    def surface_forces(constants, contact, load, history, vector):
+        force, size, limit = 0.0 * vector, 0.0 * load, 0.0 * load
+        if ti.static(laws.has_tangential):
+            surface = ti.Struct(
+                radius_eff=contact.radius_eff,
+                normal_load=load,
+                stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+            )
+            force, size = laws.tangential.present_force(constants.tangential, surface, history.tangential)
+            limit = laws.tangential.limit(constants.tangential, surface)
+        return force, size, limit
+
+    return surface_forces
+
+
+# Contact statistics and contact energies for snapshots; no step evaluates them.
+
+SUMS = ("contact_count", "overlap_sum")
+"""Sums over contacts: count, overlap over the smaller radius."""
+LIQUID_SUMS = ("liquid_film_volume", "liquid_bridge_volume")
+"""Further sums with a model that transfers liquid: volumes [m3] of the films and of the bridges."""
+COUNT, OVERLAP_SUM, FILMS, BRIDGES = range(len(SUMS) + len(LIQUID_SUMS))
+ENERGIES = ("elastic_energy", "plastic_dissipation")
+"""Sums of energies [J] over contacts."""
+GPU_ROWS = 65_536
+"""Largest number of rows of sums on a GPU, each of one thread."""
+OVERLAP_UNIT = 2.0**-48
+"""Unit of the sum of relative overlaps: a chunk can have 2^15 contacts."""
+
+
+class ContactStatistics:
+    """Kernels that evaluate each contact once; compiled at first use."""
+
+    def __init__(self, state: State) -> None:
+        self.state = state
+        self.block, chunks = FieldBlock(state.backend), state.plan.capacities.chunks
+        self._rows = chunks if state.backend.on_cpu else min(chunks, GPU_ROWS)
+        self._names = (*SUMS, *LIQUID_SUMS) if transfers_liquid(state) else SUMS
+        self.sums = self.block.vector(ti.i64, self._rows, count=len(self._names))
+        self.energies = self.block.vector(ti.i64, self._rows, count=2 * len(ENERGIES))
+        self.largest = self.block.scalar(state.backend.real, self._rows)
+        self.block.finish()
+        self._measure = _build_measure(state, self.sums, self.energies, self.largest)
+
+    def measure(self, pose: int) -> dict[str, float]:
+        """Statistics of all contacts; fills both contact counts.
+
+        pose:  index of the wall poses at the present time, see `WallPoses.index_at`
+
+        Returns SUMS, ENERGIES and `overlap_largest`, the maximum of the overlap over the smaller radius; LIQUID_SUMS
+        with a model that transfers liquid.
+        """
+        state, ranks, chunks = self.state, self.state.ranks, self.state.chunk_count
+        rows = min(chunks, self._rows)
+        if chunks:
+            self._measure(chunks, rows, state.count, pose, state.clock.time_step)
+        words = ranks.total(self.sums.to_numpy()[:rows])
+        units = (1.0, OVERLAP_UNIT, state.plan.liquid_unit, state.plan.liquid_unit)[: len(self._names)]
+        sums = [exact_total(words[:, column]) / SHARES * each for column, each in enumerate(units)]
+        unit = state.plan.sum_units.energy / SHARES
+        energies = exact_totals(ranks.total(self.energies.to_numpy()[:rows]), unit)
+        largest = ranks.largest(float(self.largest.to_numpy()[:rows].max(initial=0.0)))
+        values = (*sums, *energies.tolist(), largest)
+        return dict(zip((*self._names, *ENERGIES, "overlap_largest"), values, strict=True))
+
+
+@ti.func
+def particles_of_row(row, rows, chunks, size, count):
+    """Number of particles of the chunks row, row + rows, ...; only the last chunk can be incomplete."""
+    chunk_count = (chunks - row + rows - 1) // rows
+    last = row + (chunk_count - 1) * rows
+    return chunk_count * size - ti.max((last + 1) * size - count, 0)
+
+
+def _build_measure(state: State, sums: Any, energy_sums: Any, largest: Any) -> Callable[..., None]:
+    """Kernel (chunks, rows, count, pose, time_step): exact sums, energies and the largest relative overlap by row.
+
+    A row is that of a chunk, or of every k-th one if there are k rows.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, history, walls
+    Writes:  coordination_number, wall_contact_count, sums, energies, largest
+    """
+    particles, neighbors, has_walls = state.particles, state.neighbors, state.plan.features.walls
+    real, chunk_size, sum_count = state.backend.real, state.parameter("chunk_size"), sums.n
+    any_kinematics, list_shares, energies = build_any_kinematics(state), build_list_shares(state), build_energies(state)
+    pair_constants, in_range, stride = build_pair_constants(state), build_in_range(state), state.stride
+    per_unit, (with_film, with_bridge) = state.parameter("per_unit", ENERGY), _build_liquid_sums(state)
+
+    @ti.kernel
+    def measure(chunks: ti.i32, rows: ti.i32, count: ti.i32, pose: ti.i32, dt: real):
+        for i in range(count):
+            particles.coordination_number[i] = 0
+            if ti.static(has_walls):
+                particles.wall_contact_count[i] = 0
+        for task in range(rows * stride):
+            if task % stride == 0:
+                row = task // stride
+                found, overlap_largest = ti.Vector.zero(ti.i64, sum_count), ti.cast(0.0, real)
+                low, high = ti.Vector.zero(ti.i64, 2), ti.Vector.zero(ti.i64, 2)
+                per_joule, size = per_unit(), chunk_size()
+                for k in range(particles_of_row(row, rows, chunks, size, count)):
+                    chunk = row + k // size * rows
+                    i = chunk * size + k % size
+                    found = with_film(found, i)
+                    for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                        j = neighbors.partner[list_index]
+                        _normal, contact = any_kinematics(i, j, pose, dt)
+                        shares = list_shares(chunk, j)
+                        found = with_bridge(found, list_index, shares)
+                        if in_range(i, j, contact.overlap):
+                            elastic, plastic = energies(list_index, pair_constants(i, j), contact)
+                            elastic_low, elastic_high = energy_words(per_joule * elastic)
+                            plastic_low, plastic_high = energy_words(per_joule * plastic)
+                            low += shares * ti.Vector([elastic_low, plastic_low])
+                            high += shares * ti.Vector([elastic_high, plastic_high])
+                        if contact.overlap > 0.0:
+                            radius_min = particles.radius[i]
+                            if j >= 0:
+                                radius_min = ti.min(radius_min, particles.radius[j])
+                            relative = contact.overlap / radius_min
+                            found[COUNT] += shares
+                            found[OVERLAP_SUM] += shares * to_units(relative / OVERLAP_UNIT)
+                            overlap_largest = ti.max(overlap_largest, relative)
+                            if j >= 0:
+                                particles.coordination_number[i] += 1
+                                if shares == SHARES:
+                                    particles.coordination_number[j] += 1
+                            elif ti.static(has_walls):
+                                particles.wall_contact_count[i] += 1
+                sums[row], largest[row] = found, overlap_largest
+                energy_sums[row] = carried(ti.Vector([low[0], low[1], high[0], high[1]]), 2)
+
+    return measure
+
+
+def _build_liquid_sums(state: State) -> tuple[Any, Any]:
+    """Device functions (sums, i) and (sums, list index, shares) -> sums with the film of i, or with a bridge.
+
+    Films are in half units: those that bridges return.
+
+    Reads:  liquid_film, history
+    """
+    liquid, particles, history = transfers_liquid(state), state.particles, state.neighbors.history
+    unit = state.parameter("liquid_unit") if liquid else None
+
+    @ti.func
+    def with_film(sums, i):
+        result = sums
+        if ti.static(liquid):
+            result[FILMS] += to_units(SHARES * particles.liquid_film[i] / unit())
+        return result
+
+    @ti.func
+    def with_bridge(sums, list_index, shares):
+        result = sums
+        if ti.static(liquid):
+            result[BRIDGES] += shares * to_units(history["cohesion"][list_index][0] / unit())
+        return result
+
+    return with_film, with_bridge
+
+
+def build_energies(state: State) -> Any:
+    """Device function (list index, constants, contact): stored and lost energy [J]; 0 without the energy budget.
+
+    The stored energy includes that of the tangential, rolling, twisting and cohesion models; the lost energy is the
+    plastic work.
+
+    Reads:  history
+    """
+    laws, energy_budget, read_history = state.plan.laws, state.plan.features.energy_budget, build_read_history(state)
+
+    @ti.func
+    def with_surface_energy(normal_energy, constants, contact, history):
+        """The stored energy [J] with that of the tangential, rolling and twisting models."""
+        stored = normal_energy
+        surface = ti.Struct(
+            radius_eff=contact.radius_eff,
+            mass_eff=contact.mass_eff,
+            overlap=contact.overlap,
+            stiffness=laws.normal.tangential_stiffness(constants.normal, contact, history.normal),
+        )
+        if ti.static(laws.has_tangential):
+            stored += laws.tangential.stored_energy(constants.tangential, surface, history.tangential)
+        if ti.static(laws.has_rolling):
+            stored += laws.rolling.stored_energy(constants.rolling, surface, history.rolling)
+        if ti.static(laws.has_twisting):
+            stored += laws.twisting.stored_energy(constants.twisting, surface, history.twisting)
+        return stored
+
+    @ti.func
+    def energies(list_index, constants, contact):
+        stored, lost = 0.0 * contact.overlap, 0.0 * contact.overlap
+        if ti.static(energy_budget):
+            history = read_history(list_index)
+            if contact.overlap > 0.0:
+                stored = laws.normal.stored_energy(constants.normal, contact, history.normal)
+                lost = laws.normal.lost_energy(constants.normal, contact, history.normal)
+            if ti.static(laws.has_cohesion):
+                stored += laws.cohesion.stored_energy(constants.cohesion, contact, history.cohesion)
+                lost += laws.cohesion.lost_energy(constants.cohesion, contact, history.cohesion)
+            if contact.overlap > 0.0:
+                stored = with_surface_energy(stored, constants, contact, history)
+        return stored, lost
+
+    return energies
+
+
+# Maximum impact velocity of the present state, from which an adaptive time step is computed.
+
+
+class MaxImpactVelocity:
+    """Evaluates all candidate pairs and walls. The result is a maximum, independent of threads and order."""
+
+    def __init__(self, state: State) -> None:
+        self.state = state
+        self.block = FieldBlock(state.backend)
+        self._squares = self.block.scalar(state.backend.real, state.plan.capacities.chunks)
+        self.block.finish()
+        self._scan = _build_scan(state, self._squares)
+
+    def measure(self) -> float:
+        """Largest impact velocity [m/s] of all candidate pairs, including the elastic energy of present overlaps.
+
+        On MPI ranks, of those of all ranks.
+        """
+        state, largest = self.state, 0.0
+        if state.count:
+            self._scan(state.chunk_count, state.count, state.clock.time_step)
+            largest = float(np.sqrt(self._squares.to_numpy()[: state.chunk_count].max()))
+        return state.ranks.largest(largest)
+
+
+def _build_scan(state: State, squares: Any) -> Any:
+    """Kernel (chunks, count, time_step): largest squared impact velocity [m2/s2] of each chunk.
+
+    Reads:   position, velocity, radius, mass, neighbor lists, walls
+    Writes:  squares
+    """
+    neighbors, stride, real = state.neighbors, state.stride, state.backend.real
+    chunk_size, energy_velocity_squared = state.parameter("chunk_size"), _build_square(state)
+
+    @ti.kernel
+    def scan(chunks: ti.i32, count: ti.i32, dt: real):
+        for task in range(chunks * stride):
+            if task % stride == 0:
+                chunk = task // stride
+                largest = ti.cast(0.0, real)
+                for i in range(chunk * chunk_size(), ti.min((chunk + 1) * chunk_size(), count)):
+                    for list_index in range(neighbors.list_begin[i], neighbors.list_end[i]):
+                        largest = ti.max(largest, energy_velocity_squared(i, neighbors.partner[list_index], dt))
+                squares[chunk] = largest
+
+    return scan
+
+
+def _build_square(state: State) -> Any:
+    """Device function (i, j, time_step): squared impact velocity with the kinetic and elastic energy of a pair.
+
+        v^2 = d'^2 + 4 k d^2.5 / (5 M)        (Zhou 2011, Eq. 5)
+
+    For a pair without overlap v is the approach velocity, 0 if the pair separates.
+    """
+    overlap_and_rate, pair_constants = _build_overlap_and_rate(state), build_pair_constants(state)
+    effective, wall_effective = build_effective(state, False), build_effective(state, True)
+
+    @ti.func
+    def energy_velocity_squared(i, j, dt):
+        overlap, rate = overlap_and_rate(i, j, dt)
+        found = ti.max(rate, 0.0) ** 2
+        if overlap > 0.0:
+            bodies = wall_effective(i, j)
+            if j >= 0:
+                bodies = effective(i, j)
+            constants = pair_constants(i, j)
+            k = 4.0 / 3.0 * constants.normal.modulus_eff * ti.sqrt(bodies.radius_eff)
+            found = rate * rate + 0.8 * k * overlap * overlap * ti.sqrt(overlap) / bodies.mass_eff
+        return found
+
+    return energy_velocity_squared
+
+
+def _build_overlap_and_rate(state: State) -> Any:
+    """Device function (i, j, time_step): overlap [m], negative for a gap, and overlap rate [m/s] of a pair.
+
+    Walls are at pose 0. Velocities are half a step behind the positions.
+    """
+    particles, real, has_walls = state.particles, state.backend.real, state.plan.has_walls
+    sphere_kinematics, geometry = build_sphere_kinematics(state.plan), WallGeometry(state)
+    minimum_image, image_velocity = build_minimum_image(state), build_image_velocity(state)
+
+    @ti.func
+    def overlap_and_rate(i, j, dt):
+        overlap, rate = 0.0 * particles.radius[i], 0.0 * particles.radius[i]
+        if j >= 0:
+            branch = ti.cast(minimum_image(particles.position[i], particles.position[j], 0), real)
+            velocity_rel_half = particles.velocity[i] - particles.velocity[j] - image_velocity(i, j, 0)
+            kinematics = sphere_kinematics(
+                particles.radius[i], particles.radius[j], branch, velocity_rel_half, velocity_rel_half, dt
+            )
+            overlap, rate = kinematics.overlap, kinematics.overlap_rate_half
+        elif ti.static(has_walls):
+            gap, normal = geometry.closest(-1 - j, 0, particles.position[i])
+            wall_velocity = geometry.velocity(-1 - j, 0, particles.position[i])
+            overlap = ti.cast(particles.radius[i] - gap, real)
+            rate = -(particles.velocity[i] - ti.cast(wall_velocity, real)).dot(ti.cast(normal, real))
+        return overlap, rate
+
+    return overlap_and_rate

@@ -1,1 +1,0 @@
-"""Worker threads of a CPU: cores, barrier, affinity, tuning of their number."""

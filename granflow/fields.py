@@ -1,0 +1,502 @@
+"""Properties of the particles: fields on the device, arrays of snapshots, files and checkpoints."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+# Definition of a quantity in snapshots and output files: name, symbol, SI unit, meaning.
+
+Kind = Literal["scalar", "vector", "quaternion", "tensor"]
+"""Number of components: 1, 3, 4 or 9."""
+FileType = Literal["uint8", "int32", "int64", "float32", "float64"]
+"""Data types of arrays in VTU files."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Definition of one quantity.
+
+    name:         key in snapshots and files
+    symbol:       as in formulas; empty without a common symbol
+    unit:         SI, "1" for a dimensionless number
+    meaning:      description in a few words
+    kind:         array shape (n,), (n, 3), (n, 4) (w, x, y, z) or (n, 9) (xx, xy, xz, yx, ...)
+    file_type:    data type in VTU files, float32 where 7 digits are sufficient
+    in_snapshot:  False for internal fields, and for quantities that are derived when a file is written
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    kind: Kind = "scalar"
+    file_type: FileType = "float32"
+    in_snapshot: bool = True
+
+    @property
+    def label(self) -> str:
+        """Column name with unit: `kinetic_energy [J]`; without brackets for a dimensionless number."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    def label_of(self, part: str) -> str:
+        """Return the column name of this quantity of one part: `mass_flow.outlet [kg/s]`."""
+        return replace(self, name=f"{self.name}.{part}").label
+
+    @property
+    def width(self) -> int:
+        """Number of components."""
+        return {"scalar": 1, "vector": 3, "quaternion": 4, "tensor": 9}[self.kind]
+
+    def shape(self, count: int) -> tuple[int, ...]:
+        """Return the shape of the array of this quantity for `count` particles, contacts or cells."""
+        return (count,) if self.kind == "scalar" else (count, self.width)
+
+    def for_file(self, values: np.ndarray) -> np.ndarray:
+        """Return the values as a contiguous array with the data type of VTU files; the shape is unchanged."""
+        return np.ascontiguousarray(values, dtype=np.dtype(self.file_type))
+
+
+def by_name(quantities: Iterable[Quantity]) -> Mapping[str, Quantity]:
+    """Read-only mapping from name to definition, in the given order."""
+    return MappingProxyType({quantity.name: quantity for quantity in quantities})
+
+
+def units(quantities: Mapping[str, Quantity]) -> Mapping[str, str]:
+    """SI units by name, without those of dimensionless quantities."""
+    return MappingProxyType({name: each.unit for name, each in quantities.items() if each.unit != "1"})
+
+
+# Arrays of contacts, and of coarse-grained fields.
+
+CONTACT_QUANTITIES = by_name(
+    (
+        Quantity("id_i", "i", "1", "id of particle i", file_type="int64"),
+        Quantity("id_j", "j", "1", "id of particle j, -1 for a contact with a wall", file_type="int64"),
+        Quantity("wall", "", "1", "index of the wall in the scene, -1 between particles", file_type="int32"),
+        Quantity("triangle", "", "1", "index of the triangle of a mesh wall, else -1", file_type="int32"),
+        Quantity("position_i", "xi", "m", "center of particle i", "vector", "float64"),
+        Quantity("position_j", "xj", "m", "center of particle j, or contact point on the wall", "vector", "float64"),
+        Quantity("force", "F", "N", "total force on particle i, including viscous and friction force", "vector"),
+        Quantity("normal_force", "Fn", "N", "repulsive force along the normal"),
+        Quantity("tangential_force", "Ft", "N", "magnitude of the friction force"),
+        Quantity("overlap", "delta", "m", "sum of the radii minus the distance of the centers"),
+        Quantity("overlap_max", "delta_max", "m", "largest overlap since the contact began"),
+        Quantity("restitution", "e", "1", "coefficient of restitution of the contact"),
+        Quantity("unloading", "", "1", "0 loading, 1 unloading", file_type="uint8"),
+        Quantity("sliding", "", "1", "1 where the friction force is at the Coulomb limit", file_type="uint8"),
+    )
+)
+"""Arrays of Snapshot.contacts and of contact files."""
+FIELD_QUANTITIES = by_name(
+    (
+        Quantity("density", "rho", "kg/m3", "mass of particles per volume of space"),
+        Quantity("solid_fraction", "phi", "1", "volume of particles per volume of space"),
+        Quantity("momentum", "rho V", "kg/(m2 s)", "momentum per volume of space", "vector"),
+        Quantity("velocity", "V", "m/s", "momentum over density", "vector"),
+        Quantity("granular_temperature", "T", "m2/s2", "mean square of each component of v - V", "scalar"),
+        Quantity(
+            "granular_temperature_of_frames", "", "m2/s2", "the same; in means over time without changes of V in time"
+        ),
+        Quantity("kinetic_stress", "", "Pa", "flux of momentum by v - V, positive in tension", "tensor"),
+        Quantity("contact_stress", "", "Pa", "stress of the contact forces, positive in tension", "tensor"),
+        Quantity("pressure", "p", "Pa", "minus a third of the trace of both stresses"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+        Quantity("fabric", "", "1", "mean of n n over contacts, n their direction; its trace is 1", "tensor"),
+    )
+)
+"""Arrays of coarse-grained fields, one entry per grid point."""
+WALL_ARRAY_QUANTITIES = by_name(
+    (
+        Quantity("wall", "", "1", "index of the wall in the scene", file_type="int32"),
+        Quantity("traction", "", "Pa", "force of the particles per area, with `output.wall_forces`", "vector"),
+        Quantity("pressure", "p", "Pa", "normal force of the particles per area, with `output.wall_forces`"),
+        Quantity("surface_velocity", "", "m/s", "velocity of a belt along the triangle, if a wall has one", "vector"),
+    )
+)
+"""Arrays of wall files, one entry per triangle."""
+
+
+# Numbers of each metric.
+
+_INSTANT_METRICS = (
+    Quantity("lacey_index", "M", "1", "Lacey's mixing index: 0 segregated, 1 randomly mixed"),
+    Quantity("segregation_intensity", "I", "1", "intensity of segregation by volume: 1 segregated, 0 uniform"),
+    Quantity("segregation_intensity_random", "I_R", "1", "the same for a random mixture of the same particles"),
+    Quantity("angle_of_repose", "", "rad", "slope of the free surface"),
+    Quantity("angle_of_repose_error", "", "rad", "standard error of the slope"),
+    Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per particle"),
+    Quantity("mechanical_coordination_number", "Zm", "1", "the same without rattlers"),
+    Quantity("wall_coordination_number", "", "1", "mean number of contacts with walls per particle"),
+    Quantity("center_of_mass_x", "x", "m", "x coordinate of the center of mass"),
+    Quantity("center_of_mass_y", "y", "m", "y coordinate of the center of mass"),
+    Quantity("center_of_mass_z", "z", "m", "z coordinate of the center of mass"),
+    Quantity("position_x", "x", "m", "x component of the position of the particle"),
+    Quantity("position_y", "y", "m", "y component of the position of the particle"),
+    Quantity("position_z", "z", "m", "z component of the position of the particle"),
+    Quantity("velocity_x", "x", "m/s", "x component of the velocity of the particle"),
+    Quantity("velocity_y", "y", "m/s", "y component of the velocity of the particle"),
+    Quantity("velocity_z", "z", "m/s", "z component of the velocity of the particle"),
+    Quantity("angular_velocity_x", "x", "rad/s", "x component of the angular velocity of the particle"),
+    Quantity("angular_velocity_y", "y", "rad/s", "y component of the angular velocity of the particle"),
+    Quantity("angular_velocity_z", "z", "rad/s", "z component of the angular velocity of the particle"),
+    Quantity("sliding_share", "", "1", "share of contacts whose friction force is at the Coulomb limit"),
+    Quantity("content_count", "", "1", "number of particles in a box"),
+    Quantity("content_mass", "", "kg", "mass of the particles in a box"),
+    Quantity("content_volume", "", "m3", "volume of the particles in a box"),
+    Quantity("rattler_share", "", "1", "share of particles with no contact or one contact"),
+    Quantity("fabric_anisotropy", "a", "1", "anisotropy of the fabric tensor, 0 to 1"),
+    Quantity("fabric_xx", "Fxx", "1", "mean square of the x component of contact directions"),
+    Quantity("fabric_yy", "Fyy", "1", "mean square of the y component of contact directions"),
+    Quantity("fabric_zz", "Fzz", "1", "mean square of the z component of contact directions"),
+)
+METRIC_QUANTITIES = by_name(
+    (
+        *_INSTANT_METRICS,
+        *(
+            replace(each, name=f"{each.name}_mean", meaning=f"{each.meaning}, mean over the rows of the last stage")
+            for each in _INSTANT_METRICS
+        ),
+    )
+)
+"""Numbers of each metric; with the suffix `_mean` the mean over the rows of the last stage."""
+
+DeviceType = Literal["position", "real", "f64", "i32", "i64"]
+"""Types on the device: "position" is f64, in precision f32 f32; "real" is f64 in precision f64, else f32."""
+
+
+def _always(features: Any) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class FieldSpec(Quantity):
+    """Definition of one property of the particles, a scalar or a vector.
+
+    Allocation, sorting, insertion, checkpoints and their validation, snapshots, VTU files and the memory estimate are
+    derived from it.
+
+    dtype:      type of the device field; None for a property without one
+    condition:  function of the features of a plan: whether the field exists
+    block:      fields that follow each other with the same block are interleaved entry by entry, because kernels read
+                them together
+    sorted:     permuted with the particles at a neighbor-list rebuild; other fields are computed again after it
+    saved:      in checkpoints
+    displayed:  in particle files, if it is present
+    default:    value of inserted particles, unless the insertion provides one
+    """
+
+    dtype: DeviceType | None = None
+    condition: Callable[[Any], bool] = _always
+    block: str = ""
+    sorted: bool = True
+    saved: bool = True
+    displayed: bool = True
+    default: float = 0.0
+
+
+def _rotation(features: Any) -> bool:
+    return bool(features.rotation)
+
+
+def _clumps(features: Any) -> bool:
+    return bool(features.clumps)
+
+
+def _liquid(features: Any) -> bool:
+    return bool(features.liquid_transfer)
+
+
+_CLUMP_FIELDS = (
+    FieldSpec(
+        "clump", "", "1", "id of the first sphere of the clump, -1 for a single sphere; only in scenes with "
+        "clumps", file_type="int64", dtype="i32", condition=_clumps, default=-1,
+    ),
+    FieldSpec(
+        "clump_size", "", "1", "number of spheres of the clump", file_type="int32", dtype="i32", condition=_clumps,
+        displayed=False, default=1,
+    ),
+    FieldSpec(
+        "clump_mass", "M", "kg", "mass of the clump; of a single sphere its own", dtype="real", condition=_clumps,
+        block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_inertia", "I", "kg m2", "principal moments of inertia of the clump", "vector", dtype="real",
+        condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_offset", "", "m", "center of the sphere relative to the center of mass, along the principal axes",
+        "vector", "float64", dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_position", "", "m", "center of mass of the clump", "vector", "float64", dtype="position",
+        condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_velocity", "", "m/s", "velocity of the center of mass; on the device half a step behind", "vector",
+        dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "clump_angular_momentum", "L", "kg m2/s", "angular momentum about the center of mass; on the device half a "
+        "step behind", "vector", dtype="position", condition=_clumps, block="clump", displayed=False,
+    ),
+    FieldSpec(
+        "orientation", "q", "1", "quaternion (w, x, y, z) of the rotation from the principal axes of the clump to the "
+        "axes of the scene", "quaternion", dtype="position", condition=_clumps, block="clump", default=0.0,
+    ),
+    FieldSpec(
+        "clump_position_at_rebuild", "", "m", "center of mass at the last neighbor-list rebuild", "vector", "float64",
+        in_snapshot=False, dtype="position", condition=_clumps, sorted=False, displayed=False,
+    ),
+    FieldSpec(
+        "index_of_id", "", "1", "index of the particle with an id, since the last neighbor-list rebuild",
+        in_snapshot=False, dtype="i32", condition=_clumps, sorted=False, saved=False, displayed=False,
+    ),
+)  # fmt: skip
+_LIQUID_FIELDS = (
+    FieldSpec(
+        "liquid_film", "L", "m3", "volume of the liquid film; only with a cohesion model that transfers liquid",
+        file_type="float64", dtype="real", condition=_liquid, block="liquid",
+    ),
+    FieldSpec(
+        "liquid_film_before", "L", "m3", "volume of the film before the forces of this step, from which bridges take "
+        "their part", in_snapshot=False, dtype="real", condition=_liquid, block="liquid", saved=False, displayed=False,
+    ),
+)  # fmt: skip
+_PARTICLE_FIELDS = {
+    field.name: field
+    for field in (
+        FieldSpec(
+            "position", "x", "m", "center of the sphere", "vector", "float64",
+            dtype="position", block="motion", displayed=False,
+        ),
+        FieldSpec("radius", "R", "m", "radius of the sphere", dtype="real", block="motion"),
+        FieldSpec("mass", "m", "kg", "mass of the sphere", dtype="real", block="motion", displayed=False),
+        FieldSpec(
+            "velocity", "v", "m/s", "velocity of the center; on the device half a step behind", "vector",
+            dtype="real", block="motion",
+        ),
+        FieldSpec(
+            "angular_velocity", "w", "rad/s", "angular velocity; on the device half a step behind", "vector",
+            dtype="real", condition=_rotation, block="motion",
+        ),
+        FieldSpec(
+            "velocity_synchronized", "v", "m/s", "velocity at the time of the positions, for rate-dependent models",
+            "vector", in_snapshot=False, dtype="real", condition=lambda features: features.rate_dependent,
+            block="motion", displayed=False,
+        ),
+        FieldSpec(
+            "velocity_remainder", "", "m/s", "part of the velocity that float32 does not resolve", "vector",
+            in_snapshot=False, dtype="real", condition=lambda features: features.velocity_remainders,
+            block="remainder", displayed=False,
+        ),
+        FieldSpec(
+            "angular_velocity_remainder", "", "rad/s", "part of the angular velocity that float32 does not resolve",
+            "vector", in_snapshot=False, dtype="real", block="remainder", displayed=False,
+            condition=lambda features: features.velocity_remainders and features.rotation,
+        ),
+        FieldSpec(
+            "force", "F", "N", "total force, gravity included", "vector", dtype="real", block="force", sorted=False
+        ),
+        FieldSpec(
+            "torque", "M", "N m", "total torque about the center", "vector",
+            dtype="real", condition=_rotation, block="force", sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "external_force", "", "N", "part of the force from functions of a program", "vector", in_snapshot=False,
+            dtype="real", condition=lambda features: features.external_forces, sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "damping_force", "", "N", "part of the force from the damping of all motion", "vector", in_snapshot=False,
+            dtype="real", condition=lambda features: features.damping != "none" and features.energy_budget,
+            sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "damping_torque", "", "N m", "part of the torque from the damping of all motion", "vector",
+            in_snapshot=False, dtype="real", sorted=False, displayed=False,
+            condition=lambda features: features.damping != "none" and features.energy_budget and features.rotation,
+        ),
+        FieldSpec(
+            "position_at_rebuild", "x", "m", "position at the last neighbor-list rebuild", "vector", "float64",
+            in_snapshot=False, dtype="position", block="rebuild", sorted=False, displayed=False,
+        ),
+        FieldSpec(
+            "reach", "", "m", "displacement since the last neighbor-list rebuild that makes the next one due",
+            in_snapshot=False, dtype="position", block="rebuild", displayed=False,
+        ),
+        FieldSpec("id", "i", "1", "number of the particle, unique in a run", file_type="int64", dtype="i32"),
+        FieldSpec(
+            "material", "", "1", "index of the material in the scene; on the device, index in the plan",
+            file_type="int32", dtype="i32", condition=lambda features: not features.one_material,
+        ),
+        FieldSpec(
+            "fixed", "", "1", "1 for fixed particles; only in scenes with fixed particles", file_type="uint8",
+            dtype="i32", condition=lambda features: features.fixed_particles,
+        ),
+        FieldSpec(
+            "coordination_number", "Z", "1", "number of contacts with other particles, evaluated for snapshots",
+            file_type="int32", dtype="i32", sorted=False, saved=False,
+        ),
+        FieldSpec(
+            "wall_contact_count", "", "1", "number of contacts with walls, evaluated for snapshots",
+            file_type="int32", dtype="i32", condition=lambda features: features.walls, sorted=False, saved=False,
+        ),
+        *_CLUMP_FIELDS,
+        *_LIQUID_FIELDS,
+        FieldSpec("group", "", "1", "index of the group of particles in the scene", file_type="int32"),
+        FieldSpec("insertion_time", "", "s", "simulated time of the insertion", file_type="float64", displayed=False),
+        FieldSpec("diameter", "d", "m", "diameter of the sphere, twice the radius", in_snapshot=False),
+        FieldSpec("kinetic_energy", "Ek", "J", "translational kinetic energy, m v^2 / 2", in_snapshot=False),
+    )
+}  # fmt: skip
+PARTICLE_QUANTITIES: Mapping[str, FieldSpec] = MappingProxyType(_PARTICLE_FIELDS)
+"""Properties of the particles: device fields in the order of allocation, arrays of Snapshot.particles and of files.
+
+Vectors are in the frame of the scene.
+"""
+
+
+# Numbers of a run, of its stages, meters, outlets, groups and walls; units of all numbers.
+
+_STATE_QUANTITIES = by_name(
+    (
+        Quantity("particle_count", "N", "1", "particles present"),
+        Quantity("inserted_count", "", "1", "particles inserted since the start"),
+        Quantity("queued_count", "", "1", "particles due but queued for lack of space; only with insertion"),
+        Quantity("deleted_count", "", "1", "particles deleted at the domain boundary or by outlets"),
+        Quantity("deleted_mass", "", "kg", "mass of the particles deleted at the domain boundary or by outlets"),
+        Quantity("contact_count", "Nc", "1", "contacts between particles and with walls, each counted once"),
+        Quantity("wall_contact_count", "", "1", "contacts of particles with walls"),
+        Quantity("kinetic_energy", "Ek", "J", "translational kinetic energy"),
+        Quantity("rotational_energy", "Er", "J", "rotational kinetic energy"),
+        Quantity("overlap_mean", "", "1", "mean overlap of the contacts over the radius"),
+        Quantity("overlap_largest", "", "1", "largest overlap of the contacts over the radius"),
+        Quantity("coordination_number", "Z", "1", "mean number of contacts with particles per mobile particle"),
+        Quantity("liquid_film_volume", "", "m3", "liquid in the films of the particles; only with liquid transfer"),
+        Quantity("liquid_bridge_volume", "", "m3", "liquid in the bridges; only with liquid transfer"),
+        Quantity("shear_strain", "", "1", "shear strain of the box since the start"),
+    )
+)
+ENERGY_BUDGET_QUANTITIES = by_name(
+    (
+        Quantity("gravitational_energy", "Eg", "J", "potential energy in gravity, zero at the origin"),
+        Quantity("elastic_energy", "Ee", "J", "recoverable energy stored in contacts"),
+        Quantity("plastic_dissipation", "", "J", "energy dissipated by unloading steeper than loading"),
+        Quantity("friction_dissipation", "", "J", "energy dissipated by sliding friction"),
+        Quantity("rolling_dissipation", "", "J", "energy dissipated by rolling and twisting friction"),
+        Quantity("damping_dissipation", "", "J", "energy dissipated by damping: in contacts, and of all motion"),
+        Quantity("wall_work", "", "J", "work of moving walls and belts on the particles"),
+        Quantity(
+            "boundary_work",
+            "",
+            "J",
+            "work at periodic boundaries: of gravity on wrapped particles, and of moving images",
+        ),
+        Quantity("external_work", "", "J", "work of the forces from functions of a program on the particles"),
+        Quantity("free_wall_energy", "", "J", "kinetic energy of free walls"),
+        Quantity("free_wall_work", "", "J", "work of gravity, damping and the prescribed force on free walls"),
+        Quantity("removed_energy", "", "J", "energy of deleted minus energy of inserted particles"),
+        Quantity(
+            "energy_error",
+            "",
+            "1",
+            "residual of the energy budget over the largest energy input so far",
+        ),
+    )
+)
+"""Totals that require `output.energy_budget`."""
+TOTAL_QUANTITIES = {**_STATE_QUANTITIES, **ENERGY_BUDGET_QUANTITIES}
+"""Numbers of Snapshot.totals and columns of the time series."""
+FLOW_METER_QUANTITIES = by_name(
+    (
+        Quantity("flow_mass", "", "kg", "net mass through the meter since the start"),
+        Quantity("flow_count", "", "1", "net number of particles through the meter since the start"),
+        Quantity("mass_flow", "", "kg/s", "mass flow rate: between rows in the time series, steady mean in the result"),
+        Quantity(
+            "residence_time",
+            "",
+            "s",
+            "mean time from insertion to passage of the particles that passed forward: since the previous row in the "
+            "time series, of all in the result",
+        ),
+        Quantity("residence_time_deviation", "", "s", "standard deviation of these times, in the result"),
+    )
+)
+"""Numbers of each flow meter."""
+OUTLET_QUANTITIES = by_name(
+    (
+        Quantity("outlet_count", "", "1", "particles deleted by the outlet since the start"),
+        Quantity("outlet_mass", "", "kg", "mass deleted by the outlet since the start"),
+    )
+)
+"""Numbers of each outlet."""
+INSERTION_QUANTITIES = by_name(
+    (
+        Quantity("inserted_count", "", "1", "inserted particles of the group"),
+        Quantity("inserted_mass", "", "kg", "mass of the inserted particles of the group"),
+        Quantity("not_inserted_count", "", "1", "particles of the group not inserted at the end"),
+    )
+)
+"""Numbers of each inserted particle group, in the result."""
+WALL_FORCE_QUANTITIES = by_name(
+    (
+        Quantity("wall_force_x", "Fx", "N", "x component of the force of the particles on a wall, time average"),
+        Quantity("wall_force_y", "Fy", "N", "y component"),
+        Quantity("wall_force_z", "Fz", "N", "z component"),
+        Quantity("wall_torque_x", "Mx", "N m", "x component of the torque about the reference point of the wall"),
+        Quantity("wall_torque_y", "My", "N m", "y component"),
+        Quantity("wall_torque_z", "Mz", "N m", "z component"),
+        Quantity("wall_pressure", "p", "Pa", "sum of the normal forces of the particles over the area of the wall"),
+        Quantity("wall_force", "F", "N", "magnitude of the mean force, in the result"),
+        Quantity("wall_torque", "M", "N m", "magnitude of the mean torque, in the result"),
+        Quantity("wall_force_largest", "", "N", "largest magnitude of the force in a row, in the result"),
+        Quantity("wall_pressure_largest", "", "Pa", "largest pressure in a row, in the result"),
+        *(
+            Quantity(
+                f"wall_{name}_{axis}_last", "", unit, f"{axis} component of the {name} in the last row, in the result"
+            )
+            for name, unit in (("force", "N"), ("torque", "N m"))
+            for axis in "xyz"
+        ),
+        Quantity("wall_pressure_last", "", "Pa", "pressure in the last row, in the result"),
+    )
+)
+"""Numbers of each measured wall."""
+WALL_QUANTITIES = by_name(
+    (
+        Quantity("wall_displacement", "", "m", "displacement of a controlled wall along its direction, of all motions"),
+        Quantity("wall_velocity", "", "m/s", "velocity of a controlled wall along its direction, of all motions"),
+    )
+)
+"""Numbers of each controlled wall."""
+RUN_QUANTITIES = by_name(
+    (
+        Quantity("simulated_time", "t", "s", "simulated time at the end"),
+        Quantity("step_count", "", "1", "number of completed steps"),
+        Quantity("time_step", "dt", "s", "time step"),
+        Quantity("rebuild_count", "", "1", "rebuilds of the neighbor list"),
+        Quantity("wall_clock", "", "s", "wall-clock time of the whole run, including compilation"),
+        Quantity("steps_per_second", "", "1/s", "steps per second of computing time: without compilation and output"),
+        Quantity("particle_steps_per_second", "", "1/s", "particle-steps per second of computing time"),
+        Quantity(
+            "steps_per_second_of_wall_clock", "", "1/s", "steps per second of `wall_clock`: with compilation and output"
+        ),
+    )
+)
+"""Numbers of a whole run, in the result."""
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number of a run; "" if it is dimensionless or unknown.
+
+    name:  name of a total or of a number of the run, or `QUANTITY.PART` as in `mass_flow.outlet` and `timings.forces`
+    """
+    base, _, part = name.partition(".")
+    if base == "timings" and part:
+        return "s"
+    parts = {**FLOW_METER_QUANTITIES, **WALL_FORCE_QUANTITIES, **WALL_QUANTITIES, **METRIC_QUANTITIES}
+    parts |= {**INSERTION_QUANTITIES, **OUTLET_QUANTITIES}
+    known = parts if part else {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+    return known[base].unit if base in known and known[base].unit != "1" else ""

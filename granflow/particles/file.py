@@ -1,0 +1,484 @@
+"""Motions of walls from CSV files: the rows of a file become the columns of the motion in the resolved scene."""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from granflow.errors import FileError, SceneError
+from granflow.io.files import FormatError, read_regular_text, resolved
+from granflow.io.tables import Table, is_number, read_table, table_in
+from granflow.io.vtu import read_vtu
+from granflow.particles.group import ParticleData, SceneGroup, particles_of
+from granflow.scene.blocks.particles import FileInsertion
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.walls import MOST_ROWS, TABLE_COLUMNS, TableMotion
+from granflow.scene.model import nearest
+from granflow.units import UnitError, to_si
+
+# Particle tables: text with named columns in common formats, or a VTU frame.
+
+LARGEST_FILE = 2**30
+"""Largest file size [B]: about ten million particles."""
+MOST_SHOWN = 20
+"""Largest number of problems shown per file; the message gives the number of the others."""
+RowProblem = tuple[int, str]
+"""Line number and error message."""
+SEPARATORS = (";", ",", "\t", None)
+"""Separators of text files, in the order in which they are tried; None stands for white space."""
+COLUMN_NAMES = {
+    "position": ("", "p", "pos", "position", "point", "points", "coord", "coordinate", "coordinates", "center"),
+    "velocity": ("v", "vel", "velocity"),
+    "angular_velocity": ("w", "omega", "spin", "angular_velocity", "angvel", "angularvelocity"),
+}
+"""Names of each vector without its axis, in lowercase without punctuation; with an empty name, the axis alone."""
+SCALAR_NAMES = {
+    "radius": ("r", "rad", "radius"),
+    "diameter": ("d", "dia", "diam", "diameter"),
+    "material": ("material", "mat", "materialname", "materialid"),
+}
+"""Names of the columns with the size of the particles, and with the material: its name, or its number in the scene."""
+COLUMN_DIMENSIONS = dict.fromkeys(("position", "radius", "diameter"), "length") | {
+    name: name for name in ("velocity", "angular_velocity")
+}
+"""Dimension of each quantity, in which the unit of its columns is converted to SI."""
+ROUNDING = 1e-4
+"""Relative difference of a number that is given twice, in text with at least four digits."""
+UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+
+
+@dataclass(frozen=True)
+class ParticleTable:
+    """Arrays of the n particles of a file.
+
+    `position` (n, 3) [m], `radius` (n,) [m]; `velocity` (n, 3) [m/s], `angular_velocity` (n, 3) [rad/s] and `material`
+    (n,) (text), or None if the file does not have them; `line` (n,): line number from 1, or for a frame the point
+    number from 0. Floats are float64.
+    """
+
+    path: Path
+    position: np.ndarray
+    radius: np.ndarray
+    velocity: np.ndarray | None
+    angular_velocity: np.ndarray | None
+    material: np.ndarray | None
+    line: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.radius)
+
+    def subset(self, selection: np.ndarray) -> "ParticleTable":
+        """The rows selected by indices (k,) or by a mask (n,) bool, as a new table."""
+        arrays = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        return replace(self, **{name: each[selection] for name, each in arrays.items()})
+
+
+def read_particles(path: Path) -> ParticleTable:
+    """The particles in a file: text (CSV or columns separated by semicolons, tabs or spaces), or a VTU frame.
+
+    Numbers are converted to SI by the units in the header; without a unit they are SI. A file is read once per
+    modification time and size (cache).
+
+    Raises SceneError with a message for each invalid row, up to `MOST_SHOWN`, or one message if the file is not
+    readable, too large, or has no particles.
+    """
+    try:
+        status = path.stat()
+        if not path.is_file():
+            raise SceneError(f"{path}: this is not a regular file; give a table of particles.")
+        if status.st_size > LARGEST_FILE:
+            raise SceneError(f"{path}: this file is larger than {LARGEST_FILE // 2**30} GiB, too large for a table.")
+        return _read(path, status.st_mtime_ns, status.st_size)
+    except FileError as error:
+        raise SceneError(error.problems) from None
+    except FileNotFoundError:
+        raise SceneError(f"{path}: there is no such file.") from None
+    except OSError as error:
+        raise SceneError(f"{path}: the file cannot be read: {error.strerror}.") from None
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, changed: int, size: int) -> ParticleTable:
+    """Content of a file; the cache key includes its modification time `changed` [ns] and its size [B].
+
+    Raises SceneError with at most MOST_SHOWN invalid rows, or if the file contains no particles.
+    """
+    if path.suffix.lower() == ".pvtu":
+        raise SceneError(
+            f"{path}: particles are not read from the files of several ranks; save them as one .vtu file, for example "
+            "in ParaView, or continue from the run with start_from."
+        )
+    table, problems = (_frame(path), []) if path.suffix.lower() == ".vtu" else _text(path)
+    reported = {line for line, _ in problems}
+    problems = [*problems, *(each for each in _value_problems(table) if each[0] not in reported)]
+    if problems:
+        shown = [f"{path}:{line}: {sentence}" for line, sentence in problems[:MOST_SHOWN]]
+        more = len(problems) - MOST_SHOWN
+        raise SceneError([*shown, *([f"{path}: {more} more rows have problems, which are not shown."] * (more > 0))])
+    if not len(table):
+        raise SceneError(f"{path}: the file contains no particles.")
+    return table
+
+
+def _value_problems(table: ParticleTable) -> Iterator[RowProblem]:
+    """Values that are not finite, and radii that are not positive."""
+    for name in ("position", "radius", "velocity", "angular_velocity"):
+        values = getattr(table, name)
+        if values is not None:
+            bad = ~np.isfinite(np.atleast_2d(values.T)).all(axis=0)
+            yield from ((int(line), f"the {name} is not finite.") for line in table.line[bad])
+    yield from ((int(line), "the radius must be above 0.") for line in table.line[table.radius <= 0.0])
+
+
+def _frame(path: Path) -> ParticleTable:
+    """Particles of a VTU file: points with `radius` or `diameter`, optionally velocities and `material`.
+
+    `radius` has priority. Raises SceneError for a missing array or one with another number of components.
+    """
+    try:
+        mesh = read_vtu(path, LARGEST_FILE)
+    except FormatError as error:
+        raise SceneError(f"{path}: this file {error}.") from None
+    data = mesh.point_data
+    known = [name for name in ("radius", "diameter") if name in data]
+    if not known:
+        raise SceneError(f"{path}: the points have no array radius; their arrays are: {', '.join(data) or 'none'}.")
+    count = len(mesh.points)
+    if len(known) == 2 and data["radius"].size == data["diameter"].size == count:
+        differs = _differ(2.0 * data["radius"].reshape(count), data["diameter"].reshape(count))
+        if differs.any():
+            raise SceneError(
+                f"{path}: the arrays radius and diameter of point {int(differs.argmax())} contradict each other; keep "
+                "one of them."
+            )
+    for name in (known[0], *COLUMN_NAMES):
+        components = 3 if name in COLUMN_NAMES else 1
+        if name in data and data[name].size != count * components:
+            raise SceneError(
+                f"{path}: the array {name} has {data[name].size // max(count, 1)} components per point, "
+                f"but {components} are expected."
+            )
+    radius = np.asarray(data[known[0]], float).reshape(count) * (0.5 if known[0] == "diameter" else 1.0)
+    velocity, angular_velocity = (
+        np.asarray(data[name], float).reshape(count, 3) if name in data else None
+        for name in ("velocity", "angular_velocity")
+    )
+    material = np.asarray(data["material"]).astype(str) if "material" in data else None
+    return ParticleTable(
+        path, np.asarray(mesh.points, float), radius, velocity, angular_velocity, material, np.arange(count)
+    )
+
+
+def _text(path: Path) -> tuple[ParticleTable, list[RowProblem]]:
+    """Particles of a text file, and the problems of its rows, sorted by line. Raises SceneError for the header."""
+    table = table_in(read_regular_text(path, LARGEST_FILE), path, SEPARATORS, _is_header)
+    if table is None:
+        raise SceneError(f"{path}: the file contains no particles.")
+    columns, width = _columns_by_quantity(table.names), len(table.names)
+    if not _is_header(table.names):
+        raise SceneError(
+            f"{path}:{table.heading_line}: the first line must be a header with the columns x, y, z and r (or radius, "
+            f"or diameter), but it is {(table.separator or ' ').join(table.names)[:60]}."
+        )
+    _refuse_incomplete(path, table)
+    problems = [
+        (line, f"the row has {len(cells)} values, but the header has {width} columns.")
+        for line, cells in table.rows
+        if len(cells) != width
+    ]
+    table = table.complete()
+    problems += _contradictions(path, table)
+    material = np.array(table.texts(columns.pop("material")[0]), dtype=str) if "material" in columns else None
+    numbers = {}
+    for quantity, indices in columns.items():
+        factors = [unit_factor(path, table, index, COLUMN_DIMENSIONS[quantity]) for index in indices]
+        values = [_numbers(table, index, problems) for index in indices]
+        numbers[quantity] = np.stack(values, axis=1) * factors
+    radius = numbers["radius"] if "radius" in numbers else 0.5 * numbers["diameter"]
+    motion = numbers.get("velocity"), numbers.get("angular_velocity")
+    line = np.array([line for line, _ in table.rows], dtype=np.int64)
+    return ParticleTable(path, numbers["position"], radius.reshape(-1), *motion, material, line), sorted(problems)
+
+
+def _refuse_incomplete(path: Path, table: Table) -> None:
+    """Raise SceneError for a vector of which the header has some components only."""
+    for quantity, components in _matches(table.names).items():
+        given = [table.names[columns[0]] for columns in components if columns]
+        if 0 < len(given) < len(components):
+            raise SceneError(
+                f"{path}:{table.heading_line}: the header has {' and '.join(given)}, but not all three components of "
+                f"the {quantity.replace('_', ' ')}; add the others, or remove it."
+            )
+
+
+def _contradictions(path: Path, table: Table) -> Iterator[RowProblem]:
+    """The first row of each two columns that give different values for one number, such as radius and diameter."""
+    matches = _matches(table.names)
+    pairs = [
+        (quantity, columns[0], other, 1.0)
+        for quantity, components in matches.items()
+        for columns in components
+        for other in columns[1:]
+    ]
+    (radius,), (diameter,) = matches["radius"], matches["diameter"]
+    if radius and diameter:
+        pairs.append(("diameter", radius[0], diameter[0], 2.0))
+    for quantity, first, other, factor in pairs:
+        if problem := _contradiction(path, table, quantity, first, other, factor):
+            yield problem
+
+
+def _contradiction(path: Path, table: Table, quantity: str, first: int, other: int, factor: float) -> RowProblem | None:
+    """The first row in which a column is not `factor` times another one, `other`; None without such a row."""
+    if quantity == "material":
+        differs = np.array(table.texts(first)) != np.array(table.texts(other))
+    else:
+        units = [unit_factor(path, table, index, COLUMN_DIMENSIONS[quantity]) for index in (first, other)]
+        differs = _differ(factor * units[0] * table.numbers(first), units[1] * table.numbers(other))
+    if not differs.any():
+        return None
+    line, cells = table.rows[int(differs.argmax())]
+    given = f"{table.names[first]} is {cells[first]}, but {table.names[other]} is {cells[other]}"
+    return line, f"{given}: the columns contradict each other; keep one of them."
+
+
+def _differ(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Whether numbers (n,) differ by more than the rounding of text with few digits; NaN does not differ."""
+    return np.abs(first - other) > ROUNDING * np.maximum(np.abs(first), np.abs(other))
+
+
+def _numbers(table: Table, index: int, problems: list[RowProblem]) -> np.ndarray:
+    """A column as numbers (n,), not yet in SI; each cell that is not a number adds a problem."""
+    numbers = table.numbers(index)
+    for k in np.flatnonzero(np.isnan(numbers)):
+        line, cells = table.rows[k]
+        if not is_number(cells[index]):
+            problems.append((line, f"{table.names[index]} is {cells[index] or 'empty'}, but a number is expected."))
+    return numbers
+
+
+def _columns_by_quantity(names: Sequence[str]) -> dict[str, list[int]]:
+    """Column numbers of each quantity whose components are complete.
+
+    Names are compared in lowercase without units and punctuation, so that "Velocity:0", "v_x" and "vx [m/s]" are
+    recognized; see COLUMN_NAMES.
+    """
+    found = {}
+    for quantity, components in _matches(names).items():
+        columns = [matching[0] for matching in components if matching]
+        if len(columns) == len(components):
+            found[quantity] = columns
+    return found
+
+
+def _matches(names: Sequence[str]) -> dict[str, list[list[int]]]:
+    """Numbers of all columns with a name of each component of each quantity."""
+    plain = [re.sub(r"[^a-z0-9]", "", UNIT.sub("", name).lower()) for name in names]
+    wanted: dict[str, list[Sequence[str]]] = {
+        quantity: [
+            [name for word in words for name in (word + axis, axis + word, *([f"{word}{k}"] if word else []))]
+            for k, axis in enumerate("xyz")
+        ]
+        for quantity, words in COLUMN_NAMES.items()
+    }
+    wanted |= {name: [words] for name, words in SCALAR_NAMES.items()}
+    return {
+        quantity: [[column for column, name in enumerate(plain) if name in words] for words in components]
+        for quantity, components in wanted.items()
+    }
+
+
+def _is_header(names: Sequence[str]) -> bool:
+    """Whether the columns with these names define position and size."""
+    columns = _columns_by_quantity(names)
+    return "position" in columns and ("radius" in columns or "diameter" in columns)
+
+
+def unit_factor(path: Path, table: Table, index: int, dimension: str) -> float:
+    """Factor of a column of a dimension to SI, from the unit after its name; 1 without a unit.
+
+    Raises SceneError for an invalid unit.
+    """
+    name = table.names[index]
+    unit = UNIT.search(name)
+    if unit is None or not unit[1].strip():
+        return 1.0
+    try:
+        return to_si(f"1 {unit[1].strip()}", dimension)
+    except UnitError as error:
+        raise SceneError(f"{path}:{table.heading_line}: the unit of {name} is invalid: {error}.") from None
+
+
+# Particle groups from files: selection of the rows of each group, and their particles.
+
+
+def table_of(group: SceneGroup) -> ParticleTable:
+    """All rows of the file of a group.
+
+    Raises ValueError for a group without a file, and SceneError if the file cannot be read or is invalid.
+    """
+    insertion = group.spec.insert
+    if not isinstance(insertion, FileInsertion):
+        raise ValueError(f"{group.name} is not read from a file.")
+    try:
+        path = resolved(group.folder / insertion.file)
+    except OSError as error:
+        raise SceneError(f"{group.folder / insertion.file}: the file cannot be read: {error.strerror}.") from None
+    location = group.locate("insert", "file")
+    if not path.exists():
+        key = f"particles.{group.name}.insert.file"
+        raise SceneError(
+            f"{location}: {key} is {insertion.file}, but there is no such file; its path is relative to the folder of "
+            "the scene."
+        )
+    return read_particles(group.folder / insertion.file)
+
+
+def rows_of(group: SceneGroup) -> ParticleTable:
+    """The rows of a group: all, or those of its material (name or number) if the file has a material column.
+
+    Raises SceneError if no row matches, or if the file cannot be read.
+    """
+    table = table_of(group)
+    if table.material is None:
+        return table
+    is_own = np.isin(table.material, _material_names(group))
+    if not is_own.any():
+        location, material = group.locate("material"), group.spec.material
+        others = ", ".join(sorted(set(table.material.tolist()))[:5])
+        raise SceneError(f"{location}: no row of {table.path} is of {material}; its materials are {others}.")
+    return table.subset(is_own)
+
+
+def unassigned_rows(groups: Iterable[SceneGroup]) -> list[str]:
+    """An error message for each file with rows of a material that no group uses; missing files are skipped."""
+    files: dict[str, list[SceneGroup]] = {}
+    for group in groups:
+        insertion = group.spec.insert
+        if isinstance(insertion, FileInsertion) and (group.folder / insertion.file).exists():
+            files.setdefault(insertion.file, []).append(group)
+    problems = []
+    for sharing in files.values():
+        table = table_of(sharing[0])
+        if table.material is not None:
+            used_materials = [known for group in sharing for known in _material_names(group)]
+            unassigned = ~np.isin(table.material, used_materials)
+            if unassigned.any():
+                row, material = table.line[unassigned][0], table.material[unassigned][0]
+                problems.append(
+                    f"{table.path}:{row}: this particle is of {material}, but no group has this material; add one."
+                )
+    return problems
+
+
+def particles_from_file(group: SceneGroup) -> ParticleData:
+    """The particles of a group from its file, in the order of its rows.
+
+    Velocities are those of the file if it has them, otherwise those of the group; fixed particles are at rest. Raises
+    SceneError if the number of rows has changed since the scene was resolved.
+    """
+    rows, count = rows_of(group), group.spec.count
+    if len(rows) != count:
+        raise SceneError(f"{rows.path}: this file has changed: it had {count} particles, and has {len(rows)} now.")
+    particles = particles_of(group, rows.position, rows.radius)
+    if group.spec.fixed:
+        return particles
+    moving = {key: getattr(rows, key) for key in ("velocity", "angular_velocity") if getattr(rows, key) is not None}
+    return replace(particles, **moving)
+
+
+def _material_names(group: SceneGroup) -> list[str]:
+    """Names of the material of a group in a file: its name, or its number in the scene, from 0."""
+    return [group.spec.material, str(group.material_number)]
+
+
+NAMES = {
+    "time": "times",
+    "displacement": "displacements",
+    "velocity": "velocities",
+    "angle": "angles",
+    "angular_velocity": "angular_velocities",
+}
+"""Names of the columns of a file, and the keys of the motion."""
+DIMENSIONS = {"times": "time"} | TABLE_COLUMNS
+"""Dimension of each key."""
+
+
+def with_motion_files(scene: SceneInput, read: bool) -> SceneInput:
+    """The scene with the columns of all motions from files.
+
+    `read`: read existing files again even if the scene has their columns. Raises SceneError with the problems of all
+    files.
+    """
+    walls, problems = dict(scene.walls), list[str]()
+    for name, wall in scene.walls.items():
+        motions = list(wall.motion)
+        for index, motion in enumerate(motions):
+            if isinstance(motion, TableMotion) and motion.file is not None:
+                known = motion.times is not None and not (read and (scene.folder / motion.file).exists())
+                location = scene.locate("walls", name, "motion", index, "file")
+                key = f"walls.{name}.motion.file"
+                try:
+                    motions[index] = motion if known else _with_columns(scene.folder, motion)
+                except FileError as error:
+                    problems += error.problems
+                except (FormatError, OSError) as error:
+                    reason = error.strerror if isinstance(error, OSError) else str(error)
+                    problems.append(f"{location}: {key} is {motion.file}, which cannot be used: {reason}.")
+        walls[name] = wall.model_copy(update={"motion": tuple(motions)})
+    if problems:
+        raise SceneError(problems)
+    return scene.model_copy(update={"walls": walls})
+
+
+def _with_columns(folder: Path, motion: TableMotion) -> TableMotion:
+    """The motion with the columns of its file.
+
+    Raises OSError or FormatError if the file cannot be read, and FileError for an invalid table.
+    """
+    path = resolved(folder / str(motion.file))
+    if not path.exists():
+        raise FormatError("there is no such file; its path is relative to the folder of the scene")
+    table, source = read_table(path), folder / str(motion.file)
+    if table is None or not table.rows:
+        raise FileError([f"{source}: the table has no rows; give a header such as time [s], displacement [m]."])
+    columns = _columns(source, table)
+    if len(table.rows) > MOST_ROWS:
+        raise FileError([f"{source}: the table has {len(table.rows)} rows, and the limit is {MOST_ROWS}."])
+    return motion.model_copy(update=dict.fromkeys(TABLE_COLUMNS) | columns)
+
+
+def _columns(path: Path, table: Table) -> dict[str, tuple[float, ...]]:
+    """Columns of the motion by key [SI]. Raises FileError for the header or the first invalid row."""
+    indices: dict[str, tuple[int, float]] = {}
+    for index, heading in enumerate(table.names):
+        key = NAMES.get(UNIT.sub("", heading).strip().lower())
+        if key is not None:
+            indices[key] = index, unit_factor(path, table, index, DIMENSIONS[key])
+    given = [name for name in TABLE_COLUMNS if name in indices]
+    if "times" not in indices or len(given) != 1:
+        unknown = next((name for name in table.names if nearest(name, NAMES) and name not in NAMES), None)
+        hint = f" Did you mean {nearest(unknown, NAMES)} instead of {unknown}?" if unknown else ""
+        raise FileError(
+            [
+                f"{path}:{table.heading_line}: the columns are {', '.join(table.names)}, but time and exactly one of "
+                f"{', '.join(list(NAMES)[1:])} are expected, with units such as time [s], displacement [mm].{hint}"
+            ]
+        )
+    short = next((line for line, cells in table.rows if len(cells) != len(table.names)), None)
+    if short is not None:
+        raise FileError([f"{path}:{short}: the row must have {len(table.names)} values, as the header."])
+    columns = {key: table.numbers(index) * factor for key, (index, factor) in indices.items()}
+    invalid = ~np.all([np.isfinite(values) for values in columns.values()], axis=0)
+    if invalid.any():
+        raise FileError([f"{path}:{table.rows[int(invalid.argmax())][0]}: a finite number is expected in each column."])
+    late = np.diff(columns["times"]) <= 0.0
+    if late.any() or columns["times"][0] < 0.0:
+        line = table.rows[int(late.argmax()) + 1 if late.any() else 0][0]
+        raise FileError([f"{path}:{line}: times must ascend from row to row, from 0 or later on."])
+    if len(table.rows) < 2:
+        raise FileError([f"{path}: the table must have at least two rows."])
+    return {key: tuple(values.tolist()) for key, values in columns.items()}

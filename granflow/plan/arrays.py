@@ -1,0 +1,539 @@
+"""Device arrays of a plan: allocation, checkpoints, their validation and the memory estimate use these lists.
+
+Each function returns the arrays of one group of the state, in the order of allocation.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator
+from dataclasses import astuple, dataclass, replace
+from itertools import groupby
+from math import prod
+from typing import Literal, get_args
+
+import numpy as np
+
+from granflow.arguments import refuse_other, shown
+from granflow.errors import GranflowError, SceneError
+from granflow.fields import PARTICLE_QUANTITIES, DeviceType
+from granflow.geometry.catalog import surface_code
+from granflow.io.machine import available_memory
+from granflow.plan.capacities import (
+    BOUNDS,
+    CARRY_BITS,
+    ENERGY,
+    IMPULSE_SIZE,
+    LOSSES,
+    MIN_TRIANGLES,
+    SCAN_BLOCK,
+    SUBPARTS,
+    TORQUE,
+    WALL_BATCH,
+    Capacities,
+    rounded_capacity,
+)
+from granflow.plan.limits import ControlledMotion
+from granflow.plan.parts import PlannedOutlet
+from granflow.plan.plan import Plan
+
+Precision = Literal["f64", "f32", "mixed"]
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """One device array.
+
+    shape:         lengths along one or two axes
+    width:         components of each entry; None: an entry is a number, not a vector
+    wanted:        False for an array that the plan does not need
+    saved:         part of checkpoints
+    per_particle:  the first axis is that of the particles
+    block:         consecutive arrays with the same block are interleaved entry by entry
+    by_chunk:      the first axis is that of the chunks, or of rows that they share; checkpoints contain the sum over it
+    """
+
+    name: str
+    dtype: DeviceType
+    shape: tuple[int, ...]
+    width: int | None = None
+    wanted: bool = True
+    saved: bool = False
+    per_particle: bool = False
+    block: str = ""
+    by_chunk: bool = False
+
+    @property
+    def full_shape(self) -> tuple[int, ...]:
+        """Shape of the array, with the components as the last axis."""
+        return self.shape if self.width is None else (*self.shape, self.width)
+
+    def size(self, precision: Precision) -> int:
+        """Allocated memory [bytes]."""
+        is_long = {"position": precision != "f32", "real": precision == "f64", "f64": True, "i32": False, "i64": True}
+        return (8 if is_long[self.dtype] else 4) * (self.width or 1) * prod(self.shape) * self.wanted
+
+
+def saved_arrays(arrays: Iterable[DeviceArray]) -> dict[str, DeviceArray]:
+    """The arrays that checkpoints of the plan contain, by name."""
+    return {array.name: array for array in arrays if array.wanted and array.saved}
+
+
+def particle_arrays(plan: Plan) -> list[DeviceArray]:
+    """Properties of the particles, see `granflow.fields`."""
+    return [
+        DeviceArray(
+            field.name,
+            field.dtype,
+            (plan.capacities.particles,),
+            None if field.kind == "scalar" else field.width,
+            wanted=field.condition(plan.features),
+            saved=field.saved,
+            per_particle=True,
+            block=field.block,
+        )
+        for field in PARTICLE_QUANTITIES.values()
+        if field.dtype is not None
+    ]
+
+
+def neighbor_arrays(plan: Plan, capacities: Capacities) -> list[DeviceArray]:
+    """Ranges and entries of the neighbor lists; names of contact histories begin with `history.` and `saved.`."""
+    count, entries, saved_entries = (capacities.particles,), (capacities.list_entries,), (capacities.saved_entries,)
+    has_history = bool(plan.history)
+    return [
+        *(DeviceArray(name, "i32", count, per_particle=True) for name in ("list_begin", "list_walls_end", "list_end")),
+        DeviceArray("partner", "i32", entries),
+        *(DeviceArray(f"history.{name}", "real", entries, width) for name, width in plan.history.items()),
+        *(DeviceArray(f"saved.{name}", "real", saved_entries, width) for name, width in plan.history.items()),
+        DeviceArray("in_contact", "i32", entries, wanted=has_history),
+        *(
+            DeviceArray(name, "i32", count, wanted=has_history, per_particle=True)
+            for name in ("list_begin_before", "list_end_before")
+        ),
+        DeviceArray("partner_saved", "i32", saved_entries, wanted=has_history),
+    ]
+
+
+def cell_arrays(plan: Plan) -> list[DeviceArray]:
+    """Cells and new order of the particles; see `CellSort`."""
+    count, classes = (plan.capacities.particles,), (plan.capacities.size_classes,)
+    cells, class_cells = plan.capacities.cells, plan.capacities.class_cells
+    largest, by_class = max(cells, class_cells), bool(class_cells)
+    subparts, one_particle_chunks = (BOUNDS * SUBPARTS,), plan.chunk_size == 1
+    return [
+        DeviceArray("order", "i32", count, per_particle=True),
+        DeviceArray("cell_start", "i32", (cells + 2,)),
+        DeviceArray("block_sum", "i32", (largest // SCAN_BLOCK + 2,)),
+        DeviceArray("grid_low", "position", classes, 3),
+        DeviceArray("cell_side", "position", classes, 3),
+        DeviceArray("cells", "i32", classes, 3),
+        DeviceArray("class_order", "i32", count, wanted=by_class, per_particle=True),
+        DeviceArray("class_start", "i32", (class_cells + 2,), wanted=by_class),
+        DeviceArray("first_cell", "i32", classes, wanted=by_class),
+        DeviceArray("radius", "position", classes),
+        DeviceArray("low", "position", (BOUNDS,), 3),
+        DeviceArray("high", "position", (BOUNDS,), 3),
+        DeviceArray("reach", "position", (BOUNDS,)),
+        DeviceArray("subpart_low", "position", subparts, 3, wanted=one_particle_chunks),
+        DeviceArray("subpart_high", "position", subparts, 3, wanted=one_particle_chunks),
+        DeviceArray("subpart_reach", "position", subparts, wanted=one_particle_chunks),
+        DeviceArray("reach_largest", "position", (1,)),
+        DeviceArray("cell_count", "i32", (classes[0] + 1,)),
+        DeviceArray("present", "i32", (1,)),
+        DeviceArray("owned_count", "i32", (1,), wanted=plan.has_ghosts),
+        DeviceArray("ghost_first", "i32", (1,), wanted=plan.has_ghosts),
+    ]
+
+
+def wall_dynamics_arrays(plan: Plan) -> list[DeviceArray]:
+    """Force-controlled walls; see `WallDynamicsFields`."""
+    count = len(plan.controlled_motions)
+    names = ("offset", "offset_at_rebuild", "velocity", "work_on_particles", "work")
+    return [
+        *(DeviceArray(name, "f64", (count,), saved=True) for name in names),
+        DeviceArray("was_active", "i32", (count,), saved=True),
+        DeviceArray("active", "i32", (WALL_BATCH, count)),
+        DeviceArray("wall_force", "i64", (plan.capacities.wall_rows, count), saved=True, by_chunk=True),
+    ]
+
+
+def sum_arrays(plan: Plan) -> list[DeviceArray]:
+    """Sums of each chunk, for the energy budget, wall forces and collisions.
+
+    Terms of the energy budget, wall forces, work at periodic boundaries and of external forces, numbers of collisions.
+    Each term has two components, see `engine.exact_sums`.
+    """
+    chunks, measured = plan.capacities.chunks, plan.capacities.measured_walls
+    wall_rows = plan.capacities.wall_rows
+    energy_budget = plan.features.energy_budget
+    classes = 2 * plan.capacities.energy_classes
+    has_external_work = energy_budget and plan.features.external_forces
+    has_image_work = energy_budget and plan.features.periodic != "none"
+    has_wall_work = energy_budget and plan.features.moving_walls
+    return [
+        DeviceArray(name, "i64", shape, 2 * terms, wanted=wanted, saved=True, by_chunk=True)
+        for name, shape, terms, wanted in (
+            ("losses", (chunks,), len(LOSSES), energy_budget),
+            ("impulses", (wall_rows, measured), IMPULSE_SIZE, measured > 0),
+            ("wall_work_ahead", (chunks,), 1, has_wall_work),
+            ("boundary_work", (chunks,), 1, has_image_work),
+            ("external_work", (chunks,), 1, has_external_work),
+            ("collisions", (wall_rows, classes), 1, classes > 0),
+        )
+    ]
+
+
+def mesh_arrays(plan: Plan) -> list[DeviceArray]:
+    """Triangles, edges (three per triangle), points and cell grids of all meshes; see `engine.mesh_fields`."""
+    adjacencies, grids = [mesh.adjacency for mesh in plan.meshes.values()], plan.mesh_grids.values()
+    triangles, points, vertex_edges, competitors, cells, cell_triangles = (
+        (rounded_capacity(sum(lengths), MIN_TRIANGLES),)
+        for lengths in (
+            [len(each.normal) for each in adjacencies],
+            [len(each.owner) for each in adjacencies],
+            [len(each.vertex_edge) for each in adjacencies],
+            [len(each.competitor) for each in adjacencies],
+            [len(grid.start) - 1 for grid in grids],
+            [len(grid.triangle) for grid in grids],
+        )
+    )
+    walls, edges = (plan.capacities.walls,), (3 * triangles[0],)
+    return [
+        DeviceArray("wall", "i32", triangles),
+        DeviceArray("normal", "position", triangles, 3),
+        *(DeviceArray(name, "position", edges, 3) for name in ("vertex", "edge_direction", "inward", "inward_other")),
+        DeviceArray("length", "position", edges),
+        *(DeviceArray(name, "i32", edges) for name in ("point", "base", "owns_tie", "role")),
+        DeviceArray("owner", "i32", points),
+        DeviceArray("longest", "position", points),
+        DeviceArray("vertex_edge_start", "i32", (points[0] + 1,)),
+        DeviceArray("vertex_edge", "position", vertex_edges, 3),
+        DeviceArray("competitor_start", "i32", (2 * triangles[0] + 1,)),
+        DeviceArray("competitor", "i32", competitors),
+        DeviceArray("low", "position", walls, 3),
+        DeviceArray("side", "position", walls),
+        DeviceArray("shape", "i32", walls, 3),
+        DeviceArray("first_cell", "i32", walls),
+        DeviceArray("cell_start", "i32", (cells[0] + 1,)),
+        DeviceArray("cell_triangles", "i32", cell_triangles),
+    ]
+
+
+# Memory of the fields of a plan before allocation; a test compares it with the allocated memory.
+
+
+@dataclass(frozen=True)
+class MemoryEstimate:
+    """Initial device memory [bytes]; neighbor lists grow if they are too short.
+
+    `per_particle`, `per_neighbor`: for one particle and one list entry; all others: totals.
+    """
+
+    per_particle: int
+    per_neighbor: int
+    """Per list entry: partner index, contact history, and the share of an entry saved during a rebuild."""
+    particles: int
+    neighbor_lists: int
+    cells: int
+    meshes: int = 0
+    sums: int = 0
+    """Energies and wall forces: per chunk, on a GPU per particle."""
+
+    @property
+    def total(self) -> int:
+        """Total device memory [bytes]."""
+        return self.particles + self.neighbor_lists + self.cells + self.meshes + self.sums
+
+
+def largest_block(plan: Plan, capacities: Capacities) -> int:
+    """Bytes of the largest array, or arrays that are interleaved entry by entry."""
+    arrays = [*particle_arrays(plan), *neighbor_arrays(plan, capacities), *cell_arrays(plan), *sum_arrays(plan)]
+    blocks = groupby(arrays, key=lambda array: array.block or array.name)
+    return max(sum(array.size(plan.precision) for array in block) for _, block in blocks)
+
+
+def estimate_memory(plan: Plan, precision: Precision, capacities: Capacities | None = None) -> MemoryEstimate:
+    """Sum of the sizes [bytes] of all arrays that scale with particles, contacts, cells or triangles.
+
+    capacities:  of the neighbor lists; None: those at the start
+
+    >>> gf.estimate_memory(gf.plan_for(gf.load_scene("two.yaml")), "f64").total > 0
+    True
+    """
+    refuse_other("plan", plan, Plan, "a plan of granflow.plan_for")
+    if precision not in get_args(Precision):
+        raise GranflowError(f"precision is {shown(precision)}; give one of {', '.join(get_args(Precision))}.")
+    capacities = capacities or plan.capacities
+    lists, cells = neighbor_arrays(plan, capacities), cell_arrays(plan)
+    particles = sum(each.size(precision) for each in (*particle_arrays(plan), *lists, *cells) if each.per_particle)
+    list_bytes = sum(each.size(precision) for each in lists if not each.per_particle)
+    return MemoryEstimate(
+        per_particle=particles // capacities.particles,
+        per_neighbor=list_bytes // capacities.list_entries,
+        particles=particles,
+        neighbor_lists=list_bytes,
+        cells=sum(each.size(precision) for each in cells if not each.per_particle),
+        meshes=sum(each.size(precision) for each in mesh_arrays(plan)) if plan.meshes else 0,
+        sums=sum(each.size(precision) for each in sum_arrays(plan)),
+    )
+
+
+# Compares the memory that a run needs with the available memory, before any array is allocated.
+
+RUNTIME = 100_000_000
+"""Memory [bytes] of the compiler, independent of the scene."""
+HOST_PER_PARTICLE = 600
+"""Host memory [bytes] per particle when a frame is written (measured: 510); insertion needs less."""
+MAX_LIST_ENTRIES = 2**31 - 1
+"""Neighbor-list entries have 32-bit indices."""
+WARNED_SHARE = 0.8
+"""Share of the available memory above which a warning appears: lists may grow, other processes need some."""
+
+
+def required_memory(plan: Plan) -> int:
+    """Peak memory [bytes] of a run on a CPU, with the initial estimate of contacts.
+
+    Sum of device fields, frames on the host (HOST_PER_PARTICLE) and compiler (RUNTIME).
+    """
+    host = HOST_PER_PARTICLE * plan.particle_capacity
+    return estimate_memory(plan, plan.precision).total + host + RUNTIME
+
+
+def memory_warning(plan: Plan) -> str | None:
+    """A sentence if a run does not fit or almost fills the memory; None if it fits or the memory is unknown.
+
+    "Almost" is WARNED_SHARE of the available memory. The sentence names needed and free memory [GB] and remedies.
+    """
+    needed, available = required_memory(plan), available_memory()
+    if available is None or needed <= WARNED_SHARE * available:
+        return None
+    count = plan.particle_capacity
+    free = f"{available / 1e9:.3g} GB"
+    statement = f"but only {free} are free" if needed > available else f"which is most of the {free} that are free"
+    sizes = f"{count} particles need about {needed / 1e9:.3g} GB of memory, {statement}"
+    return f"{sizes}: {_remedies(plan, needed, available)}."
+
+
+def refuse_too_many(plan: Plan) -> None:
+    """Raise SceneError if the neighbor-list entries of all chunks exceed the range of 32-bit indices.
+
+    The message suggests a number of particles, rounded to two digits.
+    """
+    list_entries = plan.capacities.list_entries
+    if list_entries > MAX_LIST_ENTRIES:
+        max_count = float(f"{plan.particle_capacity * (MAX_LIST_ENTRIES / list_entries):.2g}")
+        request = f"{plan.particle_capacity} particles are requested, but about {max_count:.0f} is the maximum"
+        raise SceneError(f"{_location(plan)}: {request} for 32-bit neighbor-list indices. Lower the count.")
+
+
+def refuse_without_memory(plan: Plan) -> None:
+    """Raise SceneError if a run on a CPU does not fit into the available memory; never if that is unknown."""
+    if not fits(plan):
+        raise SceneError(f"{_location(plan)}: {memory_warning(plan)}")
+
+
+def refuse_without_device_memory(plan: Plan, free: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU exceed its free memory, or one of them the largest buffer.
+
+    free, largest_buffer:  [bytes]; None if unknown
+    """
+    total, longest = estimate_memory(plan, plan.precision).total, largest_block(plan, plan.capacities)
+    if free is not None and total > free:
+        raise _too_large(plan, total, free, f"{{needed}} on the GPU, but only {free / 1e9:.3g} GB are free")
+    if largest_buffer is not None and longest > largest_buffer:
+        statement = f"{{needed}} in one buffer, but this GPU allows at most {largest_buffer / 1e9:.3g} GB"
+        raise _too_large(plan, longest, largest_buffer, statement)
+
+
+def refuse_growth(plan: Plan, grown: Capacities, available: int | None, largest_buffer: int | None) -> None:
+    """Raise SceneError if the fields of a run on a GPU with longer neighbor lists do not fit.
+
+    available, largest_buffer:  [bytes], those of the present fields included; None if unknown
+    """
+    total, longest = estimate_memory(plan, plan.precision, grown).total, largest_block(plan, grown)
+    if available is not None and total > available or largest_buffer is not None and longest > largest_buffer:
+        entries = f"{grown.list_entries / plan.particle_capacity:.3g} candidate pairs per particle"
+        raise SceneError(
+            f"{_location(plan)}: the neighbor lists of {entries} no longer fit into the memory of the GPU, because all "
+            f"fields need {total / 1e9:.3g} GB. Lower the count, or numerics.skin."
+        )
+
+
+def _too_large(plan: Plan, needed: int, available: int, statement: str) -> SceneError:
+    """The error for `needed` above `available` [bytes], with the number of particles that fits."""
+    sizes = f"{plan.particle_capacity} particles need about " + statement.format(needed=f"{needed / 1e9:.3g} GB")
+    count = float(f"{plan.particle_capacity * WARNED_SHARE * available / needed:.2g}")
+    remedy = " or set run.precision to mixed" if plan.precision == "f64" else ""
+    return SceneError(f"{_location(plan)}: {sizes}: lower the count to about {count:.0f}{remedy}.")
+
+
+def fits(plan: Plan) -> bool:
+    """True if a run fits or the available memory is unknown."""
+    available = available_memory()
+    return available is None or required_memory(plan) <= available
+
+
+def _location(plan: Plan) -> str:
+    """File and line of the count of the largest group."""
+    return max(plan.groups, key=lambda group: group.sphere_count).source
+
+
+def _remedies(plan: Plan, needed: int, available: int) -> str:
+    """Remedies: fewer particles, lower precision, more memory.
+
+    `needed`, `available` [bytes]; the suggested number of particles fills WARNED_SHARE of the available memory.
+    """
+    fitting_count = int(WARNED_SHARE * max(available - RUNTIME, 0) / ((needed - RUNTIME) / plan.particle_capacity))
+    precision_remedy = ", set run.precision to mixed" if plan.precision == "f64" else ""
+    count_remedy = f"lower the count to about {float(f'{fitting_count:.2g}'):.0f}" if fitting_count else "free memory"
+    return f"{count_remedy}{precision_remedy}, or use a machine with more memory"
+
+
+# Numbers of a plan that kernels read at run time, so that plans with equal features share their machine
+# code.
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number or a vector, rounded to `dtype` when it is written to the device."""
+
+    name: str
+    dtype: DeviceType
+    values: tuple[float, ...]
+
+
+def parameters_of(plan: Plan, capacities: Capacities) -> Iterator[Parameter]:
+    """All parameters of a plan and of its arrays; equal features give the same names and lengths. Units as in the plan.
+
+    Squared limits have the precision of velocities, also those compared with positions.
+    """
+    yield from (_scalar(name, "i32", value) for name, value in _counts(plan, capacities).items())
+    yield from (_scalar(name, "real", value) for name, value in _limits(plan).items())
+    yield from (_scalar(name, "position", value) for name, value in _lengths(plan).items())
+    yield from _of_sums(plan)
+    if plan.features.liquid_transfer:
+        yield _scalar("liquid_unit", "f64", plan.liquid_unit)
+    yield _vector("gravity", "f64", plan.gravity)
+    yield _vector("box_width", "position", plan.periodic_box.width)
+    yield _vector("domain_low", "position", plan.domain_low)
+    yield _vector("domain_high", "position", plan.domain_high)
+    for index, outlet in enumerate(plan.outlets):
+        yield from _of_outlet(f"outlet.{index}", outlet)
+    for index, motion in enumerate(plan.controlled_motions):
+        yield from _of_motion(f"motion.{index}", motion)
+
+
+def _scalar(name: str, dtype: DeviceType, value: float) -> Parameter:
+    return Parameter(name, dtype, (value,))
+
+
+def _vector(name: str, dtype: DeviceType, values: np.ndarray | tuple[float, ...]) -> Parameter:
+    return Parameter(name, dtype, tuple(float(value) for value in values))
+
+
+def _counts(plan: Plan, capacities: Capacities) -> dict[str, int]:
+    return {
+        "chunk_size": plan.chunk_size,
+        "wall_count": len(plan.walls),
+        "material_count": plan.material_count,
+        "class_count": len(plan.size_classes),
+        "list_capacity": capacities.list_entries_per_segment,
+        "saved_capacity": capacities.saved_entries_per_segment,
+        "cell_capacity": plan.cell_capacity,
+    }
+
+
+def _limits(plan: Plan) -> dict[str, float]:
+    """Limits [m], a squared limit [m2] of displacements, the relative overlap limit and the longest time step [s]."""
+    return {
+        "travel_limit_squared": plan.travel_limit**2,
+        "max_overlap": plan.max_overlap,
+        "longest_time_step": plan.longest_time_step,
+        "wall_displacement_limit": plan.wall_displacement_limit,
+        "wall_travel_limit": plan.wall_travel_limit,
+    }
+
+
+def _lengths(plan: Plan) -> dict[str, float]:
+    """Lengths [m] of the neighbor search, and the largest coordinate."""
+    return {
+        "reach_max": plan.reach_max,
+        "force_range": plan.laws.range,
+        "coordinate_limit": plan.coordinate_limit,
+    }
+
+
+def _of_sums(plan: Plan) -> Iterator[Parameter]:
+    """Reciprocal units in the order of `sum_units`, and the numbers that round forces and torques to their units.
+
+    For energies, the reciprocal unit of the high word.
+
+    A number is rounded to multiples of a unit by adding 3/2 unit / eps, see `engine.exact_sums.build_to_grid`.
+    """
+    units = np.array(astuple(plan.sum_units))
+    eps = np.finfo(np.float64 if plan.precision == "f64" else np.float32).eps
+    per_unit = 1.0 / units
+    per_unit[ENERGY] /= 2.0**CARRY_BITS
+    yield _vector("per_unit", "real", per_unit)
+    yield _vector("shift", "real", 1.5 * units[: TORQUE + 1] / eps)
+
+
+def _of_outlet(prefix: str, outlet: PlannedOutlet) -> Iterator[Parameter]:
+    """Corners of a box; plane and, for a disc, radius of any other outlet."""
+    if outlet.low is not None and outlet.high is not None:
+        yield _vector(f"{prefix}.low", "position", outlet.low)
+        yield _vector(f"{prefix}.high", "position", outlet.high)
+        return
+    yield _vector(f"{prefix}.point", "position", outlet.point)
+    yield _vector(f"{prefix}.normal", "position", outlet.normal)
+    if outlet.kind == "disc":
+        yield _scalar(f"{prefix}.radius", "position", outlet.radius)
+
+
+def _of_motion(prefix: str, motion: ControlledMotion) -> Iterator[Parameter]:
+    """Wall, direction and constants of a force-controlled motion."""
+    yield _scalar(f"{prefix}.wall", "i32", motion.wall)
+    yield _vector(f"{prefix}.direction", "f64", motion.direction)
+    for name in ("force", "gain", "lag", "velocity_max", "mass", "damping"):
+        yield _scalar(f"{prefix}.{name}", "real", getattr(motion, name))
+
+
+# What the machine code of a plan depends on: plans of equal structure differ in parameters only.
+
+
+def structure_of(plan: Plan) -> Hashable:
+    """Features, contact laws, kinds of walls, outlets and motions, arrays, and their lengths but the neighbor lists'.
+
+    Contact laws count without their numbers, see `contact.law.Law.structure`; external forces with their functions and
+    names of parameters.
+    """
+    return (
+        plan.precision,
+        plan.features,
+        plan.laws.structure,
+        plan.external_forces,
+        plan.periodic_box.axes,
+        _shear_axes(plan),
+        plan.domain.on_exit == "expand",
+        plan.chunk_size == 1,
+        plan.has_ghosts,
+        frozenset(surface_code(wall.shape) for wall in plan.walls),
+        tuple(outlet.kind for outlet in plan.outlets),
+        tuple(motion.kind for motion in plan.controlled_motions),
+        tuple((array.name, array.dtype, array.width) for array in particle_arrays(plan) if array.wanted),
+        _without_lists(plan.capacities),
+        tuple(array.shape for array in mesh_arrays(plan)) if plan.meshes else (),
+    )
+
+
+def fits_lists(available: Capacities, needed: Capacities) -> bool:
+    """True if arrays of equal structure hold the neighbor lists; lists that have grown hold more than needed."""
+    lengths = [(each.list_entries, each.saved_entries, each.batch) for each in (available, needed)]
+    return all(length >= least for length, least in zip(*lengths, strict=True))
+
+
+def _without_lists(capacities: Capacities) -> Capacities:
+    return replace(capacities, segments=1, list_entries=0, batch=0, history_share=0.0)
+
+
+def _shear_axes(plan: Plan) -> tuple[int, ...]:
+    motion = plan.periodic_box.image_motion
+    return () if motion is None else (motion.flow, motion.gradient)

@@ -1,0 +1,515 @@
+"""Impact velocities on the paths of particles that fall onto walls and slide over their edges.
+
+A particle falls from its insertion along a parabola onto the first wall. The impact ends its velocity across the wall;
+that along the wall remains and grows without friction down to the lowest edges, over which the particle falls further:
+
+    v1^2 = v0^2 + 2 g h1                       impact after a fall by h1
+    v2^2 = |v1 - (v1.n) n|^2 + 2 g h2          slide by the height h2 of a wall with the normal n
+
+Bounces are neglected.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import sqrt
+
+import numpy as np
+
+from granflow.geometry.catalog import triangles
+from granflow.geometry.mesh import Mesh
+from granflow.geometry.motion import SurfaceVelocity, top_speed
+from granflow.geometry.periodic_box import AXES
+from granflow.geometry.plane import HALF_SPACE
+from granflow.geometry.revolved import REVOLVED
+from granflow.load import Scene
+from granflow.particles.insertion import insertion_region
+from granflow.particles.packing import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, sampler_of
+from granflow.plan.limits import ImpactVelocity, image_speed, initial_speeds
+from granflow.plan.parts import outer_diameter_range
+from granflow.plan.plan import Plan
+from granflow.plan.walls import PlannedMotion, PlannedWall
+from granflow.scene.blocks.particles import (
+    Group,
+    InletInsertion,
+    LatticeInsertion,
+    PackInsertion,
+    PositionsInsertion,
+    RainInsertion,
+)
+from granflow.scene.blocks.walls import Plane
+
+
+def region_of(group: Group) -> RegionSampler | None:
+    """The region in which particles of a group are inserted at random or on a lattice; None for given positions."""
+    insertion = group.insert
+    if isinstance(insertion, LatticeInsertion | PackInsertion | RainInsertion):
+        return sampler_of(insertion.region)
+    if isinstance(insertion, InletInsertion):
+        return insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.array(group.velocity, float), 0.0)
+    return None
+
+
+# Facets of walls at rest, and the first wall on the path of a falling particle.
+
+PATH_SEGMENTS = 48
+"""Straight segments of the parabola of a particle with a horizontal velocity."""
+EDGE = 1e-9
+"""Tolerance of the barycentric coordinates of a point in a triangle: no gap between triangles with a common edge."""
+EDGE_SAMPLES = 32
+"""Largest number of points on the lowest edges of a wall."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """Where a path ends at a wall: index of the wall, point (3,) [m], velocity (3,) [m/s], unit normal (3,)."""
+
+    wall: int
+    point: np.ndarray
+    velocity: np.ndarray
+    normal: np.ndarray
+
+    @property
+    def tangential_velocity(self) -> np.ndarray:
+        """The velocity (3,) [m/s] along the wall."""
+        return np.asarray(self.velocity - (self.velocity @ self.normal) * self.normal)
+
+
+class WallFacets:
+    """Triangles of walls at rest; planes are squares that are larger than the domain.
+
+    walls:      with their numbers in the list
+    low, high:  corners (3,) [m] of the domain
+    """
+
+    def __init__(self, walls: Sequence[PlannedWall], low: np.ndarray, high: np.ndarray) -> None:
+        center, extent = 0.5 * (low + high), 4.0 * float(np.linalg.norm(high - low))
+        self.walls = list(walls)
+        self.points = [triangles(wall.shape, center, extent) for wall in walls]
+        corners = [points[each] for points, each in self.points]
+        self.corners = np.concatenate([np.empty((0, 3, 3)), *corners])
+        self.wall = np.repeat(np.arange(len(corners)), [len(each) for each in corners])
+        self.low, self.high = self.corners.min(axis=1).T.copy(), self.corners.max(axis=1).T.copy()
+
+    def near(self, path: np.ndarray, within: np.ndarray | None = None) -> np.ndarray:
+        """Numbers (k,) of the triangles whose bounding box intersects that of points (n, 3) [m].
+
+        `within`: numbers of the triangles to search, by default all.
+        """
+        index = np.arange(len(self.wall)) if within is None else within
+        for axis in range(3):
+            coordinate = path[:, axis]
+            index = index[self.low[axis, index] <= coordinate.max()]
+            index = index[self.high[axis, index] >= coordinate.min()]
+        return index
+
+    def first_on_segment(self, start: np.ndarray, end: np.ndarray, within: np.ndarray) -> tuple[float, int] | None:
+        """Share of the segment (3,) to (3,) [m] at which it meets the first triangle, and the triangle; or None.
+
+        By Moeller and Trumbore (1997). `within`: numbers of the triangles to search.
+        """
+        index = self.near(np.array([start, end]), within)
+        first, second = (self.corners[index, k] - self.corners[index, 0] for k in (1, 2))
+        along, offset = end - start, start - self.corners[index, 0]
+        across = np.cross(along, second)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = 1.0 / np.sum(first * across, axis=1)
+            u = scale * np.sum(offset * across, axis=1)
+            turned = np.cross(offset, first)
+            v, share = scale * (turned @ along), scale * np.sum(second * turned, axis=1)
+            inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (share >= 0.0) & (share <= 1.0)
+        if not inside.any():
+            return None
+        best = int(np.flatnonzero(inside)[share[inside].argmin()])
+        return float(share[best]), int(index[best])
+
+    def first_hit(self, start: np.ndarray, velocity: np.ndarray, gravity: np.ndarray, fall: float) -> Hit | None:
+        """The first wall on a parabola from `start` (3,) [m] with `velocity` (3,) [m/s]; None if there is none.
+
+        gravity:  (3,) [m/s2]
+        fall:     height [m] below the start at which the path ends
+        """
+        strength = float(np.linalg.norm(gravity))
+        down = float(velocity @ gravity) / strength
+        duration = (-down + np.sqrt(down**2 + 2.0 * strength * fall)) / strength
+        is_straight = np.linalg.norm(np.cross(velocity, gravity)) == 0.0 and down >= 0.0
+        times = np.linspace(0.0, duration, 2 if is_straight else PATH_SEGMENTS + 1)[:, None]
+        path = start + times * velocity + 0.5 * times**2 * gravity
+        within = self.near(path)
+        for number in range(len(path) - 1):
+            found = self.first_on_segment(path[number], path[number + 1], within)
+            if found is not None:
+                point = path[number] + found[0] * (path[number + 1] - path[number])
+                return self._hit(found[1], start, point, velocity, gravity)
+        return None
+
+    def is_free(self, start: np.ndarray, end: np.ndarray, without: int) -> bool:
+        """Whether no wall except number `without` is between two points (3,) [m]."""
+        within = self.near(np.array([start, end]))
+        return self.first_on_segment(start, end, within[self.wall[within] != without]) is None
+
+    def _hit(self, facet: int, start: np.ndarray, point: np.ndarray, velocity: np.ndarray, gravity: np.ndarray) -> Hit:
+        """The hit of a triangle; the velocity across gravity is constant, the energy gives that along gravity."""
+        strength = float(np.linalg.norm(gravity))
+        down = gravity / strength
+        along = float(velocity @ down)
+        fallen = np.sqrt(max(along**2 + 2.0 * strength * float((point - start) @ down), 0.0))
+        normal = np.cross(*(self.corners[facet, k] - self.corners[facet, 0] for k in (1, 2)))
+        rising = along < 0.0 and float((point - start) @ down) < 0.0
+        reached = velocity + ((-fallen if rising else fallen) - along) * down
+        return Hit(int(self.wall[facet]), point, reached, normal / np.linalg.norm(normal))
+
+    def lowest(self, wall: int, up: np.ndarray) -> float:
+        """Smallest height [m] of a wall along `up` (3,)."""
+        return float((self.points[wall][0] @ up).min())
+
+    def edges(self, wall: int, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 3) [m] on the lowest edges of a wall, and horizontal unit vectors (n, 3) away from its center.
+
+        Surfaces of revolution and meshes, which may have openings, also have vectors toward the center. Planes, which
+        have no edges, have no points.
+        """
+        shape = self.walls[wall].shape
+        if not isinstance(shape, Mesh) and shape.kind is HALF_SPACE:
+            return np.empty((0, 3)), np.empty((0, 3))
+        points, corners = self.points[wall]
+        height = points @ up
+        is_low = height <= height.min() + 1e-6 * float(np.ptp(points, axis=0).max())
+        pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+        pairs = np.unique(np.sort(pairs[is_low[pairs].all(axis=1)], axis=1), axis=0)
+        found = np.concatenate([points[is_low], points[pairs].mean(axis=1)])
+        found = found[np.linspace(0, len(found) - 1, min(EDGE_SAMPLES, len(found))).astype(int)]
+        outward = found - 0.5 * (points.min(axis=0) + points.max(axis=0))
+        outward -= np.outer(outward @ up, up)
+        length = np.linalg.norm(outward, axis=1)
+        found, outward = found[length > 0.0], outward[length > 0.0] / length[length > 0.0][:, None]
+        if isinstance(shape, Mesh) or shape.kind is REVOLVED:
+            return np.concatenate([found, found]), np.concatenate([outward, -outward])
+        return found, outward
+
+
+STEEP = 0.2
+"""Cosine of the slope of walls on which particles do not slide: they fall further beside the wall."""
+ROUNDS = 4
+"""Falls of a path per wall."""
+EPSILON = 1e-6
+"""Relative tolerance of heights: a fall ends behind a floor at the lowest level."""
+MORE = 1.01
+"""Ratio of squared velocities from which a further visit of a wall is followed."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """The fastest impact on the paths of a group.
+
+    value:  squared velocity [m2/s2]
+    walls:  names of the walls on the path, in order
+    falls:  whether the path ends in a fall that no wall stops, instead of at the last wall
+    """
+
+    value: float
+    walls: tuple[str, ...] = ()
+    falls: bool = False
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Where a fall starts: point (3,) [m], velocity (3,) [m/s], names of the walls before."""
+
+    point: np.ndarray
+    velocity: np.ndarray
+    walls: tuple[str, ...]
+
+
+class FallingParticles:
+    """Paths over walls at rest.
+
+    gravity:  (3,) [m/s2]
+    low:      height [m] against gravity at which all paths end
+    radius:   distance [m] of particle centers from an edge over which they fall
+    belts:    surface speed [m/s] of each wall
+    bounds:   corners (3,) [m] of the space outside of which particles do not exist
+    """
+
+    def __init__(
+        self,
+        facets: WallFacets,
+        gravity: np.ndarray,
+        low: float,
+        radius: float,
+        belts: Sequence[float],
+        bounds: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        self.facets, self.gravity, self.low, self.radius, self.belts = facets, gravity, low, radius, belts
+        self.bounds = bounds
+        self.strength = float(np.linalg.norm(gravity))
+        self.up = -gravity / self.strength
+
+    def fastest(self, points: np.ndarray, velocities: np.ndarray) -> Path:
+        """The fastest impact of particles that start at points (n, 3) [m] with velocities (n, 3) [m/s]."""
+        starts = [_Start(*both, ()) for both in zip(points, velocities, strict=True)]
+        best, visited = Path(0.0), np.full(len(self.facets.walls), -1.0)
+        for _ in range(ROUNDS * len(visited) + 1):
+            following: list[_Start] = []
+            for start in starts:
+                if self._largest(start) > best.value:
+                    found, further = self._fall(start, visited)
+                    best = max(best, found, key=lambda path: path.value)
+                    following += further
+            starts = following
+        return best
+
+    def _height(self, start: _Start) -> float:
+        """Height [m] of a start above the lowest level."""
+        return float(start.point @ self.up) - self.low
+
+    def _largest(self, start: _Start) -> float:
+        """Largest squared velocity [m2/s2] that can follow from a start; 0 outside the domain and at its bottom."""
+        height = self._height(start)
+        if height <= 0.0 or np.any(start.point < self.bounds[0]) or np.any(start.point > self.bounds[1]):
+            return 0.0
+        own = float(start.velocity @ start.velocity)
+        return max(own, max(self.belts, default=0.0) ** 2) + 2.0 * self.strength * height
+
+    def _fall(self, start: _Start, visited: np.ndarray) -> tuple[Path, list[_Start]]:
+        """The fastest impact of one fall and the slide after it, and the starts of further falls."""
+        height = self._height(start)
+        hit = self.facets.first_hit(start.point, start.velocity, self.gravity, (1.0 + EPSILON) * height)
+        if hit is None:
+            value = float(start.velocity @ start.velocity) + 2.0 * self.strength * height
+            return Path(value, start.walls, falls=True), []
+        walls = (*start.walls, self.facets.walls[hit.wall].name)
+        slide, further = self._after(hit, walls, visited)
+        return Path(max(float(hit.velocity @ hit.velocity), slide), walls), further
+
+    def _after(self, hit: Hit, walls: tuple[str, ...], visited: np.ndarray) -> tuple[float, list[_Start]]:
+        """Squared velocity [m2/s2] at the end of a slide, and the starts of further falls; updates `visited`."""
+        tangential = hit.tangential_velocity
+        is_below = float(hit.velocity @ self.up) > 0.0
+        if abs(float(hit.normal @ self.up)) < STEEP or is_below:
+            back = -np.sign(float(hit.velocity @ hit.normal)) * hit.normal
+            return 0.0, [_Start(hit.point + 1e-3 * self.radius * back, tangential, walls[:-1])]
+        end = max(self.facets.lowest(hit.wall, self.up), self.low)
+        slid = max(float(hit.point @ self.up) - end, 0.0)
+        value = float(tangential @ tangential) + 2.0 * self.strength * slid
+        value = max(value, self.belts[hit.wall] ** 2)
+        if value <= MORE * visited[hit.wall]:
+            return value, []
+        visited[hit.wall] = value
+        return value, self._over_edges(hit.wall, value, walls)
+
+    def _over_edges(self, wall: int, value: float, walls: tuple[str, ...]) -> list[_Start]:
+        """Falls over the lowest edges of a wall, at rest and with the squared velocity `value` [m2/s2]."""
+        starts = []
+        for point, outward in zip(*self.facets.edges(wall, self.up), strict=True):
+            inside = point + self.radius * (self.up - outward)
+            outside = point + self.radius * (self.up + outward)
+            if self.facets.is_free(inside, outside, without=wall):
+                speeds = sorted({0.0, float(np.sqrt(value))})
+                starts += [_Start(point + self.radius * outward, speed * outward, walls) for speed in speeds]
+        return starts
+
+
+# Impact velocity of the forecasts: a fall from where particles start, instead of through the whole domain.
+#
+# The time step keeps the velocity of `max_impact_velocity`, which covers runs that lift particles.
+
+PARALLEL = 1e-6
+"""Largest deviation of the normal of a plane from the vertical for a floor: on a steeper one, particles slide on."""
+SLOW = 0.1
+"""Given velocity over that of a fall below which a unit is probably wrong."""
+SAMPLES = 64
+"""Number of particles of a group whose paths are computed."""
+
+
+def forecast_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+    """Largest impact velocity if each particle starts at its insertion and falls to the lowest wall.
+
+        v = max sqrt(max(v0, u)^2 + 2 |g| h) + u,      at most the planned velocity
+
+    v0: initial speed, h: drop height of a group, u: largest speed of belts, at which particles may fall from them. That
+    of the plan if the drop heights are not known, see `_drop_heights`.
+    """
+    planned, heights = plan.impact_velocity, _drop_heights(scene, plan)
+    if not heights:
+        return planned
+    magnitude, belt = float(np.linalg.norm(plan.gravity)), _belt_speed(plan.walls)
+    speeds = {name: max(speed, belt) for name, speed in initial_speeds(scene.particles).items()}
+    fastest = max(heights, key=lambda name: speeds[name] ** 2 + 2.0 * magnitude * heights[name])
+    value = sqrt(speeds[fastest] ** 2 + 2.0 * magnitude * heights[fastest])
+    initial = f" with an initial speed of {speeds[fastest]:.3g} m/s" if speeds[fastest] else ""
+    return _at_most(planned, value, plan, f"a fall of particles.{fastest} by {heights[fastest]:.3g} m{initial}")
+
+
+def path_velocity(scene: Scene, plan: Plan) -> ImpactVelocity:
+    """As `forecast_velocity`, but particles fall onto the first wall below, and slide over its edges onto the next.
+
+    Walls that are present during the whole run stop a fall. See `paths` for the velocities.
+    """
+    simple, heights = forecast_velocity(scene, plan), _drop_heights(scene, plan)
+    if not heights or any(scene.particles[name].thermal is not None for name in heights):
+        return simple
+    gravity = np.array(plan.gravity, float)
+    up = -gravity / np.linalg.norm(gravity)
+    low = lowest_level(scene, plan.walls, up)
+    assert low is not None
+    walls = [wall for wall in plan.walls if wall.is_permanent]
+    bounds = _bounds(scene)
+    facets = WallFacets(walls, np.array(scene.domain.min), np.array(scene.domain.max))
+    falling = FallingParticles(facets, gravity, low, plan.radius_min, [_belt_speed([wall]) for wall in walls], bounds)
+    paths = {name: falling.fastest(*_starts(scene.particles[name], up)) for name in heights}
+    name = max(paths, key=lambda each: paths[each].value)
+    return _at_most(simple, sqrt(paths[name].value), plan, _path_words(name, paths[name]))
+
+
+def velocity_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence on a given `run.velocity_max` that is far below the velocity after the fall of inserted particles.
+
+    Particles of a packing fall less, and damped ones more slowly: SLOW times the velocity is the limit, and damping
+    excludes the warning.
+    """
+    given = scene.run.velocity_max
+    if given is None or scene.damping or image_speed(scene.domain) or not np.any(plan.gravity):
+        return
+    magnitude = float(np.linalg.norm(plan.gravity))
+    regions = (LatticeInsertion, PackInsertion, RainInsertion, InletInsertion)
+    heights = _heights(scene, plan, -np.array(plan.gravity) / magnitude)
+    heights = {name: each for name, each in heights.items() if isinstance(scene.particles[name].insert, regions)}
+    if not heights:
+        return
+    name = max(heights, key=lambda each: heights[each])
+    fall = sqrt(2.0 * magnitude * heights[name])
+    if given < SLOW * fall:
+        yield (
+            f"run.velocity_max ({scene.where('run', 'velocity_max')}) is {given:.3g} m/s, but particles.{name} can "
+            f"fall {heights[name]:.3g} m and reach {fall:.3g} m/s: time step and forecasts are those of slower "
+            f"impacts. Check the unit, or set it to {fall:.2g} m/s."
+        )
+
+
+def _drop_heights(scene: Scene, plan: Plan) -> dict[str, float]:
+    """Height [m] of the highest particle of each group above the lowest level, by name; empty if it is not known.
+
+    It is not known if `run.velocity_max` is given, without gravity, if walls or images move or belts go up, which lift
+    or accelerate particles, or if the region of a group is not known.
+    """
+    if scene.run.velocity_max is not None or image_speed(scene.domain) or not np.any(plan.gravity):
+        return {}
+    up = -np.array(plan.gravity) / np.linalg.norm(plan.gravity)
+    if any(not _is_level_belt(each, up) for wall in plan.walls for each in wall.motions):
+        return {}
+    return _heights(scene, plan, up)
+
+
+def _heights(scene: Scene, plan: Plan, up: np.ndarray) -> dict[str, float]:
+    """As `_drop_heights`; empty if the region of a group or the lowest level is not known."""
+    low = lowest_level(scene, plan.walls, up)
+    groups = {name: group for name, group in scene.particles.items() if not group.fixed}
+    tops = {name: highest_point(group, up) for name, group in groups.items()}
+    if low is None or any(top is None for top in tops.values()):
+        return {}
+    return {name: max(top - low, 0.0) for name, top in tops.items() if top is not None}
+
+
+def _is_level_belt(motion: PlannedMotion, up: np.ndarray) -> bool:
+    """Whether a motion is the surface velocity of a belt that does not go up."""
+    if not isinstance(motion.given, SurfaceVelocity):
+        return False
+    velocities = np.array([motion.given.velocity, motion.given.initial_velocity])
+    return bool(np.all(velocities @ up <= PARALLEL * np.linalg.norm(velocities, axis=1)))
+
+
+def _belt_speed(walls: Iterable[PlannedWall]) -> float:
+    """Largest surface speed [m/s] of walls whose motions are those of belts."""
+    speeds = (
+        sum(top_speed(each.given) for each in wall.motions if isinstance(each.given, SurfaceVelocity)) for wall in walls
+    )
+    return max(speeds, default=0.0)
+
+
+def _at_most(limit: ImpactVelocity, value: float, plan: Plan, words: str) -> ImpactVelocity:
+    """The smaller one of an impact velocity and of `value` [m/s], against the fastest belt, estimated from `words`."""
+    belt = _belt_speed(plan.walls)
+    if not 0.0 < value + belt < limit.value:
+        return limit
+    against = f" against the fastest wall ({belt:.3g} m/s)" if belt else ""
+    return ImpactVelocity(value + belt, f"estimated from {words}{against}")
+
+
+def _path_words(name: str, path: Path) -> str:
+    """Words for the fall of a group along a path."""
+    *over, last = (f"walls.{each}" for each in dict.fromkeys(path.walls)) if path.walls else ("",)
+    if path.falls:
+        over, last = [*over, last], "the lowest level"
+    end = f" to {last}" if last else ""
+    return f"a fall of particles.{name}{' over ' if any(over) else ''}{', '.join(filter(None, over))}{end}"
+
+
+def _bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) [m] of the space in which particles exist: the domain, infinite along axes without an end."""
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    margin = 1e-9 * (high - low)
+    is_open = np.full(3, scene.domain.on_exit == "expand") | np.isin(list(AXES), list(scene.domain.periodic))
+    return np.where(is_open, -np.inf, low - margin), np.where(is_open, np.inf, high + margin)
+
+
+def _starts(group: Group, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) [m] at which particles of a group start, in regions at the greatest height, and velocities."""
+    region = region_of(group)
+    if region is None:
+        assert isinstance(group.insert, PositionsInsertion)
+        points = np.array(group.insert.positions, float)
+        velocities = np.broadcast_to(np.asarray(group.velocity, float), points.shape)
+        some = np.argsort(-(points @ up), kind="stable")[:SAMPLES]
+        return points[some], velocities[some]
+    radius = min(0.5 * outer_diameter_range(group)[0], region.radius_max)
+    points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
+    top = highest_point(group, up)
+    assert top is not None
+    points = points + np.outer(top - points @ up, up)
+    return points, np.broadcast_to(np.asarray(group.velocity, float), points.shape)
+
+
+def highest_point(group: Group, up: np.ndarray) -> float | None:
+    """Largest height [m] along `up` (3,) at which particles of a group start; None if it is not known."""
+    if isinstance(group.insert, PositionsInsertion):
+        return float((np.array(group.insert.positions) @ up).max())
+    region = region_of(group)
+    if isinstance(region, BoxSampler):
+        return float(np.maximum(region.low * up, region.high * up).sum())
+    if isinstance(region, CylinderSampler):
+        along = float(region.frame[2] @ up)
+        base = float(region.start @ up) + max(along * region.length, 0.0)
+        return base + region.radius * sqrt(max(1.0 - along**2, 0.0))
+    if isinstance(region, SlabSampler):
+        local = region.frame @ up
+        return float(region.corner @ up + np.maximum(region.box.high * local, 0.0).sum())
+    return None
+
+
+def lowest_level(scene: Scene, walls: tuple[PlannedWall, ...], up: np.ndarray) -> float | None:
+    """Smallest height [m] along `up` (3,) at which particles hit a wall or another particle; None if not known.
+
+    The highest permanent plane across `up`, otherwise the lowest point of the walls, or the end of the domain if it is
+    higher or there are no walls. Not known along a periodic axis, or without walls in a domain that expands.
+    """
+    domain = scene.domain
+    if any(abs(up[AXES.index(axis)]) > PARALLEL for axis in domain.periodic):
+        return None
+    end = min(float(np.array(corner) @ up) for corner in product(*zip(domain.min, domain.max, strict=True)))
+    floors: list[float] = []
+    lowest: list[float] = []
+    for wall in walls:
+        given = scene.walls[wall.name]
+        if isinstance(given, Plane):
+            normal = np.array(given.normal) / np.linalg.norm(given.normal)
+            is_floor = float(normal @ up) > 1.0 - PARALLEL and wall.is_permanent
+            (floors if is_floor else lowest).append(float(np.array(given.point) @ up) if is_floor else end)
+        else:
+            points = triangles(wall.shape, np.zeros(3), 0.0)[0]
+            lowest.append(float((points @ up).min()))
+    if floors:
+        return max(*floors, end)
+    if domain.on_exit == "expand":
+        return min(lowest, default=None)
+    return max(min(lowest, default=end), end)

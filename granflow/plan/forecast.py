@@ -1,0 +1,990 @@
+"""Dimensions of walls and diameters that are far above the size of the domain or of an inlet: probably a wrong unit."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations, pairwise
+from math import ceil, dist, hypot, inf, pi, sqrt
+
+import numpy as np
+
+from granflow.contact import registry
+from granflow.errors import SceneError
+from granflow.fields import unit_of
+from granflow.geometry.catalog import Surface, area_of, distance_from, triangles
+from granflow.geometry.mesh import Mesh
+from granflow.geometry.motion import pose
+from granflow.geometry.plane import HALF_SPACE
+from granflow.geometry.shape import sphere_volume
+from granflow.load import Scene
+from granflow.particles.group import ParticleData, orientations
+from granflow.particles.insertion import MAX_BATCHES, insertion_region
+from granflow.particles.packing import BoxSampler, CylinderSampler, RegionSampler, SlabSampler, near_pairs
+from granflow.plan.falls import forecast_velocity, path_velocity, region_of, velocity_warnings
+from granflow.plan.limits import ControlledMotion
+from granflow.plan.overlaps import (
+    HARDEST,
+    bed_pressures,
+    impact_forecast,
+    mean_volume,
+    pressure_words,
+    solid_volume,
+    static_forecasts,
+    supported_forecast,
+    supported_pairs,
+    touching_pairs,
+)
+from granflow.plan.parts import PlannedStage, outer_diameter_range
+from granflow.plan.plan import Forecast, Plan
+from granflow.plan.walls import PlannedWall, StageTimes, surface_speed
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.particles import (
+    Clump,
+    DiscFace,
+    FileInsertion,
+    Group,
+    InletInsertion,
+    PositionsInsertion,
+    RainInsertion,
+)
+from granflow.scene.blocks.shapes import Axial, Rectangular
+from granflow.scene.blocks.walls import Servo, Translation, Vibration, Wall
+
+# Forecasts of clumps with a sphere that occurs twice, and of clumps with a gap between their spheres.
+
+SAME = 1e-6
+"""Distance and difference of radii, over the radius, below which spheres are equal, or a gap below which they touch."""
+COMMON_OVERLAP = 0.1
+"""Overlap over the smaller radius of the position that closes a gap."""
+
+
+def clump_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each clump with a sphere that occurs twice, and for each whose spheres are not connected.
+
+    The forces on a sphere that occurs twice count twice, and volume and inertia once.
+    """
+    for name, group in scene.particles.items():
+        if group.clump is not None:
+            yield from _repeated(scene, name, group.clump)
+            yield from _clump_gaps(scene, name, group.clump)
+
+
+def _repeated(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
+    """A sentence on the first sphere that equals an earlier one, with the number of further ones."""
+    centers, radii, distance = _spheres(clump)
+    scale = SAME * np.minimum.outer(radii, radii)
+    equal = (distance <= scale) & (np.abs(np.subtract.outer(radii, radii)) <= scale)
+    repeated = [k for k in range(len(radii)) if equal[k, :k].any()]
+    if repeated:
+        index = repeated[0]
+        first = int(equal[index].argmax())
+        more = f" ({len(repeated) - 1} more of its spheres are repeated)" if len(repeated) > 1 else ""
+        yield (
+            f"{_key(scene, name, index)} is {_center(centers[index])} m with the radius {radii[index]:.4g} m, the "
+            f"same sphere as spheres.{first}{more}: its contacts count twice. Remove it, or give it another position "
+            f"such as {_center(centers[index] + [radii[index], 0.0, 0.0])} m."
+        )
+
+
+def _clump_gaps(scene: Scene, name: str, clump: Clump) -> Iterator[str]:
+    """A sentence on the narrowest gap between the spheres that are connected with the first one and the others."""
+    from scipy.sparse.csgraph import connected_components  # imported here: most scenes have no clump
+
+    centers, radii, distance = _spheres(clump)
+    gap = distance - np.add.outer(radii, radii)
+    count, part = connected_components(gap <= SAME * np.minimum.outer(radii, radii))
+    if count == 1:
+        return
+    of_first = part == part[0]
+    gap[~np.outer(of_first, ~of_first)] = np.inf
+    near, far = (int(each) for each in np.unravel_index(gap.argmin(), gap.shape))
+    reach = radii[near] + radii[far] - COMMON_OVERLAP * min(radii[near], radii[far])
+    closed = centers[near] + (centers[far] - centers[near]) * (reach / distance[near, far])
+    others = ", with the spheres connected with it," if (part == part[far]).sum() > 1 else ""
+    yield (
+        f"{_key(scene, name, far)} is {_center(centers[far])} m, {gap[near, far]:.3g} m away from the surface of "
+        f"spheres.{near}, which is the nearest one of the others: the spheres of this clump form {count} separate "
+        f"bodies that move as one. Move it{others} to a position such as {_center(closed)} m, which closes the gap, or "
+        "give the bodies groups of their own."
+    )
+
+
+def _spheres(clump: Clump) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (k, 3) [m], radii (k,) [m], and distances (k, k) [m] of the centers."""
+    centers, radii = np.array([each.position for each in clump.spheres]), np.array([s.radius for s in clump.spheres])
+    return centers, radii, np.linalg.norm(centers[:, None] - centers[None], axis=2)
+
+
+def _key(scene: Scene, name: str, index: int) -> str:
+    """Key and place of the position of a sphere."""
+    path = ("particles", name, "clump", "spheres", index, "position")
+    return f"{'.'.join(map(str, path))} ({scene.where(*path)})"
+
+
+def _center(values: np.ndarray) -> str:
+    """Coordinates in the form of the scene."""
+    return "[" + ", ".join(f"{each + 0.0:.4g}" for each in values) + "]"
+
+
+# Forecasts of overlaps in particle files that are larger than loading and impacts explain.
+
+OVERLAP_TOLERANCE = 1.5
+"""Overlap of a file over the forecast one above which a warning appears."""
+ROUNDING = 1e-3
+"""Overlap over the radius that is never reported: positions in VTU files resolve 1e-4 of the smallest radius."""
+
+
+def file_warnings(particles: Mapping[str, Group], static: float, impact: float) -> Iterator[str]:
+    """A sentence for each group from a file whose particles overlap more than the state of a bed explains.
+
+    Overlaps over the smaller radius: `static` under weight, walls and cohesion; `impact` at the maximum velocity, for
+    files with moving particles. Touching particles of a settled bed overlap and cause no warning.
+    """
+    for name, group in particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, FileInsertion) or insertion.found is None or group.fixed:
+            continue
+        found = insertion.found
+        explained = max(static, impact) if found.speed_max > 0.0 else static
+        if found.overlap_max > max(OVERLAP_TOLERANCE * explained, ROUNDING):
+            reason = f"loading and impacts explain {explained:.3g}" if explained > 0.0 else "no force explains it"
+            yield (
+                f"particles.{name}: particles in {insertion.file} overlap by up to {found.overlap_max:.3g} of the "
+                f"smaller radius ({found.overlap_rows}), but {reason}: they separate abruptly. Check the file."
+            )
+
+
+# Forecasts of insertions: runs that are too short, rates too high for a face or region, inlets turned
+# backward.
+
+DENSEST_FLOW = 0.45
+"""Solid fraction that the flow out of an inlet does not exceed.
+
+Random sequential packings reach 0.38. Free fall from a disc of 10 diameters has 0.40, from one of 1.5 diameters 0.25.
+"""
+COUNT_TOLERANCE = 0.01
+"""Fraction of the count that may be missing without a warning: the mean mass of particles is a sample."""
+ALONG_FACE = 1e-3
+"""Component along the normal over the magnitude below which a vector is parallel to a face: decimals are rounded."""
+
+
+def insertion_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+    """A sentence for each rain or inlet whose rate cannot insert all particles before the end of the run.
+
+    The run takes its longest duration. Space is not considered: a full region delays particles further.
+    """
+    end = max(end for _, end in times.values())
+    for name, group in scene.particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            continue
+        interval = _interval(plan, group, insertion)
+        inserted = 0.0 if insertion.start > end else (end - insertion.start) / interval + 1.0
+        if inserted < (1.0 - COUNT_TOLERANCE) * group.count:
+            key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+            flow = "rate" if insertion.rate else "mass_flow"
+            yield (
+                f"{key}: the insertion of {group.count} particles takes {(group.count - 1) * interval:.3g} s from "
+                f"{insertion.start:.3g} s on, but the run ends at {end:.3g} s, after about {inserted:.3g} of them. "
+                f"Raise {flow} or the duration."
+            )
+
+
+def flow_warnings(scene: Scene, plan: Plan) -> Iterator[str]:
+    """A sentence for each inlet through which, or rain from whose region, fewer particles than required can flow."""
+    for name, group in scene.particles.items():
+        insertion = group.insert
+        if not isinstance(insertion, RainInsertion | InletInsertion):
+            continue
+        interval = _interval(plan, group, insertion)
+        if isinstance(insertion, InletInsertion) and (sentence := _direction(scene, plan, name, insertion)):
+            yield sentence
+            continue
+        largest, held = _largest_flow(scene, group, insertion, interval)
+        key = f"particles.{name}.insert ({scene.where('particles', name, 'insert')})"
+        if isinstance(insertion, InletInsertion):
+            is_small, place, also = True, "face", ""
+        else:
+            is_small, place = group.count * (1.0 - interval * largest) > held, "region"
+            also = f", which holds {held:.2g}"
+        if is_small and 1.0 / interval > largest > 0.0:
+            yield (
+                f"{key}: {1.0 / interval:.3g} particles per second are required, but at most about {largest:.2g} leave "
+                f"the {place} in a second{also}; the others are queued. Enlarge the {place}, raise particles.{name}"
+                f".velocity, or lower the {'rate' if insertion.rate else 'mass_flow'}."
+            )
+        elif is_small and not largest and place == "region" and _stays(plan, group):
+            yield (
+                f"{key}: {group.count} particles are required, but the region holds at most about {held:.2g}, and "
+                f"neither gravity nor particles.{name}.velocity moves them out; the others are queued. Enlarge the "
+                "region, or lower the count."
+            )
+
+
+def _direction(scene: Scene, plan: Plan, name: str, insertion: InletInsertion) -> str:
+    """A sentence on an inlet that new particles leave backward or not at all; empty if they move into the scene.
+
+    The velocity decides, and gravity if the velocity has no component along the normal. The proposed velocity is the
+    given one with the opposite component, or with the smallest one that is sufficient for the rate.
+    """
+    group = scene.particles[name]
+    velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
+    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], np.zeros(3), 0.0)
+    normal, _, area, _ = _face(region, velocity)
+    through, along = _through(velocity, normal), _through(gravity, normal)
+    if through > 0.0 or (through == 0.0 and along > 0.0):
+        return ""
+    is_still = not velocity.any()
+    if along == 0.0 and through == 0.0 and group.thermal is not None:
+        return ""
+    if is_still and along == 0.0 and (gravity.any() or not _stays(plan, group)):
+        return ""
+    needed = mean_volume(group) / (_interval(plan, group, insertion) * DENSEST_FLOW * area)
+    speed = float(f"{1.5 * needed:.1g}") if through == 0.0 else -2.0 * float(velocity @ normal)
+    if through < 0.0:
+        fault = "points against it, so that they leave backward through the face"
+    elif along < 0.0:
+        fault = "has no component along it, so that gravity moves them backward through the face"
+    else:
+        fault = "has no component along it, so that they do not leave the face along its normal"
+    given = f"particles.{name}.velocity ({scene.where('particles', name, 'velocity')}) is {_velocity(velocity)} m/s"
+    reverse = "reverse face.disc.normal"
+    if not isinstance(insertion.face, DiscFace):
+        reverse = "exchange the two sides of face.rectangle"
+    return (
+        f"{given}, but particles enter through the face of the inlet along {_velocity(normal)}: the velocity {fault}. "
+        f"Give a velocity such as {_velocity(velocity + speed * normal)} m/s"
+        f"{f', or {reverse}' if through < 0.0 or along < 0.0 else ''}."
+    )
+
+
+def _through(vector: np.ndarray, normal: np.ndarray) -> float:
+    """Component of a vector along a normal; 0 for a vector that is parallel to the face within rounding."""
+    component = float(vector @ normal)
+    return 0.0 if abs(component) <= ALONG_FACE * float(np.linalg.norm(vector)) else component
+
+
+def _velocity(values: np.ndarray) -> str:
+    """Three numbers in the form of the scene."""
+    return "[" + ", ".join(f"{each + 0.0:.3g}" for each in np.round(values, 12)) + "]"
+
+
+def _stays(plan: Plan, group: Group) -> bool:
+    """Whether neither walls nor a granular temperature move new particles without gravity and velocity."""
+    return group.thermal is None and not any(wall.motions for wall in plan.walls)
+
+
+def _largest_flow(
+    scene: Scene, group: Group, insertion: RainInsertion | InletInsertion, interval: float
+) -> tuple[float, float]:
+    """Upper bounds of the particles per second that leave the region of an insertion, and of those in the region.
+
+        rate = phi (A v_n + W h v_t) / V,     v_n^2 = v0_n^2 + 2 g_n h,     v_t^2 = v0_t^2 + 2 g_t W
+
+    A, W: area and width of a face; h: depth of the region; n, t: along the normal of the face and across it; phi:
+    DENSEST_FLOW; V: mean volume of a particle, of a clump that of the sphere around it. Particles leave an inlet along
+    the normal only, the region of rain at both ends. 0 if particles neither start with a velocity nor fall: walls can
+    carry them away. `interval` [s]: mean time between particles.
+    """
+    velocity, gravity = np.array(group.velocity, float), np.array(scene.gravity, float)
+    gathered = ceil(group.count / MAX_BATCHES) * interval
+    region = insertion_region(insertion, 0.5 * outer_diameter_range(group)[1], velocity, gathered)
+    normal, depth, area, width = _face(region, gravity if gravity.any() else velocity)
+    ends = (velocity @ normal, gravity @ normal)
+    initial, falling = map(abs, ends) if isinstance(insertion, RainInsertion) else (max(each, 0.0) for each in ends)
+    along = sqrt(initial**2 + 2.0 * falling * depth)
+    slide = float(np.linalg.norm(gravity - (gravity @ normal) * normal))
+    across = sqrt(float(np.sum((velocity - (velocity @ normal) * normal) ** 2)) + 2.0 * slide * width)
+    volume = mean_volume(group) if group.clump is None else sphere_volume(0.5 * outer_diameter_range(group)[1])
+    flow, held = area * along + width * depth * across, region.volume
+    return DENSEST_FLOW * float(flow) / volume, DENSEST_FLOW * held / volume
+
+
+def _face(region: RegionSampler, direction: np.ndarray) -> tuple[np.ndarray, float, float, float]:
+    """Normal (3,), depth [m] behind it, area [m2] and width [m] of a face of a region.
+
+    Of a box with edges along the coordinate axes, the face that `direction` (3,) crosses most steeply.
+    """
+    if isinstance(region, CylinderSampler):
+        return region.frame[2], region.length, pi * region.radius**2, 2.0 * region.radius
+    if isinstance(region, SlabSampler):
+        axis, normal, size = 2, region.frame[2], region.box.high
+    else:
+        assert isinstance(region, BoxSampler)
+        axis, size = int(np.argmax(np.abs(direction))), region.high - region.low
+        normal = np.eye(3)[axis]
+    sides = np.delete(size, axis)
+    return normal, float(size[axis]), float(np.prod(sides)), float(np.hypot(*sides))
+
+
+def _interval(plan: Plan, group: Group, insertion: RainInsertion | InletInsertion) -> float:
+    """Mean time [s] between two particles."""
+    if insertion.rate:
+        return 1.0 / insertion.rate
+    assert insertion.mass_flow is not None
+    return mean_volume(group) * plan.solids[group.material].density / insertion.mass_flow
+
+
+# Forecasts of output intervals that are longer than the run, or that show a vibration at two phases only.
+
+PERIOD_TOLERANCE = 0.01
+"""Largest relative deviation of an interval from an odd multiple of half a period."""
+FRAMES_PER_PERIOD = 8
+"""Number of frames per period that a message suggests."""
+COARSE = 0.25
+"""Interval over the period above which frames do not resolve a vibration."""
+
+
+def interval_warnings(scene: Scene, times: StageTimes) -> Iterator[str]:
+    """A sentence on an output interval above the duration of the run."""
+    longest = max(end for _, end in times.values())
+    if scene.output.interval > longest:
+        yield (
+            f"output.interval ({scene.where('output', 'interval')}) is {scene.output.interval:g} s, but the run lasts "
+            f"at most {longest:g} s: only the first and the last state are written. Choose a shorter interval."
+        )
+
+
+def vibration_forecasts(scene: Scene) -> Iterator[Forecast]:
+    """Frames per period of each vibration with less than four, and warnings on stroboscopic intervals.
+
+        interval = (n + 1/2) T within 1 %:     sin(w t + phase) has the values +- sin(phase) only
+
+    With the default phase of 0, the wall is at the same position in all frames. Multiples of the whole period are often
+    intended, because they show the slow motion of a bed.
+    """
+    for period, name in _periods(scene).items():
+        wall = f"walls.{name}.motion ({scene.where('walls', name, 'motion')})"
+        for output, interval in _intervals(scene):
+            ratio = interval / period
+            if ratio <= COARSE * (1.0 + PERIOD_TOLERANCE):
+                continue
+            odd = round(2.0 * ratio) % 2 == 1 and abs(2.0 * ratio / round(2.0 * ratio) - 1.0) <= PERIOD_TOLERANCE
+            warning = (
+                f"{'.'.join(output)} ({scene.where(*output)}) is {interval:.4g} s, {0.5 * round(2.0 * ratio):g} times "
+                f"the period {period:.4g} s of {wall}: the output shows this motion at two opposite phases only, which "
+                f"can be the same position of the wall. Set the interval to {period / FRAMES_PER_PERIOD:.3g} s or "
+                f"less, {FRAMES_PER_PERIOD} times per period, or to {period:.4g} s for one fixed phase."
+            )
+            remark = f"{'.'.join(output)}, of the period {period:.4g} s of {wall}"
+            yield Forecast("vibration in the output", f"{1.0 / ratio:.3g} per period", remark, warning if odd else None)
+
+
+def _periods(scene: Scene) -> dict[float, str]:
+    """Each period [s] of the vibrations, with the name of the first wall."""
+    found: dict[float, str] = {}
+    for name, wall in scene.walls.items():
+        for motion in wall.motion:
+            if isinstance(motion, Vibration):
+                amplitude, rate = motion.amplitude_and_angular_frequency(scene.gravity)
+                if amplitude and rate:
+                    found.setdefault(2.0 * pi / rate, name)
+    return found
+
+
+def _intervals(scene: Scene) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Paths of the keys of the output intervals, and the intervals [s]; those that are not given are `interval`."""
+    yield ("output", "interval"), scene.output.interval
+    if scene.is_given("output", "timeseries_interval"):
+        yield ("output", "timeseries_interval"), scene.output.timeseries_interval
+    for name, grid in scene.output.fields.items():
+        if grid.interval is not None:
+            yield ("output", "fields", name, "interval"), grid.interval
+
+
+# Forecasts of servo walls that cannot reach the bed, and so their force, in the time of their motion.
+
+LOOSEST = 0.45
+"""Smallest solid fraction of a bed of clumps or of cohesive particles at rest."""
+LOOSE = 0.55
+"""Solid fraction of a random loose packing of spheres, without the last layer."""
+SAMPLES_ALONG = 400
+"""Points along the path of a servo at which its distance from other walls is computed."""
+PARALLEL = 1e-6
+"""Largest deviation of the direction of a servo from that of gravity, as the cosine of their angle."""
+MARGIN = 1.2
+"""Recommended over required velocity."""
+
+
+def servo_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+    """A sentence for the first servo of each wall, if its travel is shorter than its distance from the bed.
+
+        v t < L - V / (phi A) - d,     v = min(v_max, gain F)
+
+    v: velocity of a servo without contacts; t: time of its motion; L: distance along its direction to the next wall or
+    the end of the domain; V: volume of all particles, which fill at most the height V / (phi A) above that wall with a
+    loose solid fraction phi over the area A of the servo; d: largest diameter, of particles on the surface of the bed.
+    A bed beyond the edges of the servo is lower: the distance is a lower bound. Servos across gravity can touch the
+    side of a bed, and other motions before a servo move its wall: neither has a forecast.
+    """
+    for name in dict.fromkeys(motion.name for motion in plan.controlled_motions):
+        motions = [each for each in plan.controlled_motions if each.name == name]
+        given = [each for each in scene.walls[name].motion if isinstance(each, Servo)]
+        area = area_of(plan.walls[motions[0].wall].shape)
+        if area is None or len(given) < len(scene.walls[name].motion):
+            continue
+        first = min(motions, key=lambda each: _span(given[each.motion], times)[0])
+        if not _is_along(plan.gravity, first):
+            continue
+        distance = _distance(scene, plan, first, area)
+        duration = _span(given[first.motion], times)[1]
+        velocity, limit = first.approach(first.force)
+        if velocity * duration < distance:
+            yield (
+                f"walls.{name}.motion ({first.source}): the servo moves at most {velocity * duration:.3g} m "
+                f"({velocity:.3g} m/s, {limit}, for {duration:.3g} s), but the bed is about {distance:.3g} m away: it "
+                f"does not reach {first.force:.3g} N. {_remedy(first, distance, duration)}"
+            )
+
+
+def _distance(scene: Scene, plan: Plan, motion: ControlledMotion, area: float) -> float:
+    """Distance [m] of a servo with an area [m2] from the bed."""
+    is_loose = plan.laws.cohesion is not None or any(group.clump is not None for group in scene.particles.values())
+    height = solid_volume(scene.particles) / ((LOOSEST if is_loose else LOOSE) * area)
+    layer = max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    return _free_path(plan.domain, plan.walls, motion) - height - layer
+
+
+def _is_along(gravity: Sequence[float], motion: ControlledMotion) -> bool:
+    """Whether a servo moves along gravity, or there is none."""
+    magnitude = float(np.linalg.norm(gravity))
+    return abs(float(np.dot(gravity, motion.direction))) >= (1.0 - PARALLEL) * magnitude
+
+
+def _remedy(motion: ControlledMotion, distance: float, duration: float) -> str:
+    """Instruction with which the servo moves by `distance` [m] in `duration` [s], by what limits the velocity."""
+    needed = MARGIN * distance / duration
+    free = motion.gain * abs(motion.force)
+    parts = [f"set velocity_max to {needed:.2g} m/s or more"] if needed > motion.velocity_max else []
+    if needed > free:
+        target = abs(motion.force) * needed / free
+        parts.append(f"raise gain or the target (to {target:.2g} N at this gain)")
+    time = f"give it {MARGIN * distance / min(free, motion.velocity_max):.2g} s"
+    text = f"{' and '.join(parts)}, {time}, or start it closer to the bed"
+    if free < motion.velocity_max:
+        text += "; or approach by a translation, in a stage that ends at a force on the wall"
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _span(given: Servo, times: StageTimes) -> tuple[float, float]:
+    """Start [s] of a servo, and the time [s] in which it is active."""
+    end = max(end for _, end in times.values())
+    if given.stages is not None:
+        start = times[given.stages[0]][0]
+        return start, times[given.stages[-1]][1] - start
+    start = given.start or 0.0
+    return start, max(min(given.end if given.end is not None else inf, end) - start, 0.0)
+
+
+def _free_path(domain: Domain, walls: Sequence[PlannedWall], motion: ControlledMotion) -> float:
+    """Distance [m] from the center of a servo wall along its direction to the next wall or the end of the domain."""
+    direction = np.array(motion.direction)
+    low, high = np.array(domain.min), np.array(domain.max)
+    center = triangles(walls[motion.wall].shape, 0.5 * (low + high), 0.0)[0].mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exits = np.where(direction > 0.0, (high - center) / direction, (low - center) / direction)
+    length = float(np.min(exits[np.abs(direction) > 0.0], initial=np.inf))
+    if not np.isfinite(length) or length <= 0.0:
+        return 0.0
+    steps = np.linspace(0.0, length, SAMPLES_ALONG)
+    points, spacing = center + steps[:, None] * direction, length / (SAMPLES_ALONG - 1)
+    for index, wall in enumerate(walls):
+        if index != motion.wall:
+            near = np.flatnonzero(np.abs(distance_from(wall.shape, points, spacing)) <= spacing)
+            length = min(length, float(steps[near[0]])) if len(near) else length
+    return length
+
+
+LARGE_DIAMETER = 10.0
+"""Diameter over the longest side of the domain above which a unit is probably wrong; large spheres serve as walls."""
+LARGE_WALL = 20.0
+"""Dimension of a wall over the longest side of the domain above which a unit is probably wrong; walls can be larger
+than the domain."""
+RADII = ("radius", "radius_from", "radius_to", "hole_radius")
+"""Keys of walls with one length."""
+MILLI = 1e-3
+
+
+def size_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each group with particles that are larger than the domain, and for each wall that is much larger.
+
+    Particles of inlets are compared with the face. Domains that expand have no size. Meshes have notes of their own,
+    and faces of boxes are compared with the domain by their positions.
+    """
+    for path, sentence in _oversizes(scene):
+        yield f"{'.'.join(path)} ({scene.where(*path)}) {sentence}"
+
+
+def size_problems(scene: Scene) -> Iterator[str]:
+    """The sentences of `size_warnings` in the form of errors."""
+    for path, sentence in _oversizes(scene):
+        yield f"{scene.locate(*path)}: {'.'.join(path)} {sentence}"
+
+
+def _oversizes(scene: Scene) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Path of the key and rest of the sentence of each length that is too large."""
+    side = _longest_side(scene)
+    domain = f"the longest side of the domain, {side:.3g} m"
+    for name, group in scene.particles.items():
+        diameter, path = outer_diameter_range(group)[1], ("particles", name, "diameter")
+        width = _width(group.insert) if isinstance(group.insert, InletInsertion) else inf
+        if diameter > width:
+            face = f"larger than the face of the inlet, which is {width:.3g} m wide"
+            yield path, f"is {diameter:.3g} m, {face}. {_likely(diameter, width)}"
+        elif diameter > LARGE_DIAMETER * side and scene.domain.on_exit != "expand":
+            yield path, f"is {diameter:.3g} m, {diameter / side:.0f} times {domain}. {_likely(diameter, side)}"
+    for name, wall in scene.walls.items():
+        if large := oversized(scene, name, wall):
+            key, length = large
+            rest = f"is {length:.3g} m, {length / side:.0f} times {domain}. {_likely(length, side)}"
+            yield ("walls", name, key), rest
+
+
+def oversized(scene: Scene, name: str, wall: Wall) -> tuple[str, float] | None:
+    """Key and length [m] of the largest dimension of a wall if it is much larger than the domain."""
+    if scene.domain.on_exit == "expand" or "." in name:
+        return None
+    key, length = max(_dimensions(wall), key=lambda each: each[1], default=("", 0.0))
+    return (key, length) if length > LARGE_WALL * _longest_side(scene) else None
+
+
+def _dimensions(wall: Wall) -> Iterator[tuple[str, float]]:
+    """Keys and lengths [m] of a wall: radii, length of the axis, sides of a rectangle."""
+    yield from ((key, getattr(wall, key)) for key in RADII if hasattr(wall, key))
+    if isinstance(wall, Axial):
+        yield "to", dist(wall.from_, wall.to)
+    if isinstance(wall, Rectangular):
+        yield "sides", max(hypot(*each) for each in wall.sides)
+
+
+def _longest_side(scene: Scene) -> float:
+    return max(high - low for low, high in zip(scene.domain.min, scene.domain.max, strict=True))
+
+
+def _width(insertion: InletInsertion) -> float:
+    """Diameter of the largest sphere that fits through the face of an inlet [m]."""
+    face = insertion.face
+    return 2.0 * face.disc.radius if isinstance(face, DiscFace) else min(hypot(*each) for each in face.rectangle.sides)
+
+
+def _likely(length: float, limit: float) -> str:
+    """Instruction for a length [m] above a limit [m]: the same number in mm, if that is below the limit."""
+    if MILLI * length > limit:
+        return "Check the units of both."
+    return f"Check the unit: {length:.3g} mm is {MILLI * length:.3g} m."
+
+
+# The spheres of particles: of a clump all of its spheres, of other particles the particle itself.
+
+
+def spheres_by_particle(
+    group: Group, points: np.ndarray, radius: np.ndarray, orientation: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centers (n, k, 3) [m] and radii (n, k) [m] of the k spheres of each particle at `points` (n, 3) [m].
+
+    `radius` (n,) [m]: of spheres. `orientation` (n, 4): of clumps; None for those of new clumps.
+    """
+    if group.clump is None:
+        return points[:, None], radius[:, None]
+    shape = group.clump.shape
+    if orientation is None:
+        orientation = orientations(group.clump, len(points), lambda: np.random.default_rng(1))
+    return shape.spheres(points, orientation), np.broadcast_to(shape.radius, (len(points), len(shape)))
+
+
+def spheres_of(scene: Scene, particles: ParticleData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centers (m, 3) [m] and radii (m,) [m] of the spheres of all particles, and the index (m,) of their particle."""
+    centers, radii = [np.empty((0, 3))], [np.empty(0)]
+    owners: list[np.ndarray] = [np.empty(0, dtype=np.int64)]
+    for number, group in enumerate(scene.particles.values()):
+        own = np.flatnonzero(particles.group == number)
+        turns = None if particles.orientation is None else particles.orientation[own]
+        center, radius = spheres_by_particle(group, particles.position[own], particles.radius[own], turns)
+        centers.append(center.reshape(-1, 3))
+        radii.append(radius.reshape(-1))
+        owners.append(np.repeat(own, radius.shape[1]))
+    return np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
+
+
+# Initial particles that overlap each other by more than the limit, with which a run would stop at its
+# start.
+
+
+def refuse_initial_overlaps(scene: Scene, particles: ParticleData) -> None:
+    """Raise SceneError with the pair of the largest overlap if it exceeds `numerics.max_overlap`.
+
+        (R_i + R_j - |x_i - x_j|) / min(R_i, R_j)
+
+    Particles on lattices and in packings do not overlap: only scenes with positions or files are searched. Fixed
+    particles overlap each other without a force, as do the spheres of one clump. Images across periodic faces are
+    included.
+    """
+    given = (PositionsInsertion, FileInsertion)
+    if not any(isinstance(each.insert, given) for each in scene.particles.values()):
+        return
+    spheres, radii, owners = spheres_of(scene, particles)
+    position, radius, sphere = scene.domain.periodic_box().images(spheres, radii)
+    owner = owners[sphere]
+    first, second = _mobile_pairs(scene, particles, len(radii), owner, near_pairs(position, radius, 0.0))
+    smaller = np.minimum(radius[first], radius[second])
+    depth = radius[first] + radius[second] - np.linalg.norm(position[first] - position[second], axis=1)
+    limit = scene.numerics.max_overlap
+    above = np.flatnonzero(depth > limit * smaller)
+    if not len(above):
+        return
+    worst = above[(depth[above] / smaller[above]).argmax()]
+    pair = sorted((int(first[worst]), int(second[worst])))
+    names = [_name(scene, particles, int(owner[k]), position[k] - spheres[sphere[k]]) for k in pair]
+    group = list(scene.particles)[particles.group[owner[pair[0]]]]
+    count = len(np.unique(np.sort([owner[first[above]], owner[second[above]]], axis=0), axis=1).T)
+    pairs = f"{count} pairs overlap" if count > 1 else "1 pair overlaps"
+    raise SceneError(
+        f"{scene.locate('particles', group)}: {' and '.join(names)} overlap by {depth[worst] / smaller[worst]:.3g} of "
+        f"the smaller radius at the start, and the run stops above numerics.max_overlap {limit:g} ({pairs} by more). "
+        f"Move them {depth[worst]:.3g} m apart, or let granflow place them: kind pack."
+    )
+
+
+def _mobile_pairs(
+    scene: Scene, particles: ParticleData, count: int, owner: np.ndarray, pairs: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs (p,), (p,) of spheres of two particles that are not both fixed.
+
+    `owner` (m,): index of the particle of each sphere, first of the `count` spheres, then of their images. Pairs of two
+    images are left out: they are pairs of spheres too.
+    """
+    first, second = pairs
+    fixed = np.array([group.fixed for group in scene.particles.values()])[particles.group][owner]
+    counts = (np.minimum(first, second) < count) & (owner[first] != owner[second]) & ~(fixed[first] & fixed[second])
+    return first[counts], second[counts]
+
+
+def _name(scene: Scene, particles: ParticleData, index: int, shift: np.ndarray) -> str:
+    """Words for a particle or, if `shift` (3,) [m] is not zero, for its image displaced by it."""
+    place = f"[{', '.join(f'{x:.4g}' for x in particles.position[index] + shift)}] m"
+    group = int(particles.group[index])
+    number = int((particles.group[:index] == group).sum())
+    image = "the periodic image of " if np.any(shift) else ""
+    return f"{image}particles {list(scene.particles)[group]}[{number}] at {place}"
+
+
+# Times of the stages if each lasts as long as it can, and presence of walls.
+
+
+def nominal_times(stages: Sequence[PlannedStage]) -> StageTimes:
+    """Start and end [s] of each stage if all stages take their longest duration."""
+    edges = np.concatenate([[0.0], np.cumsum([stage.longest for stage in stages])]).tolist()
+    return {stage.name: span for stage, span in zip(stages, pairwise(edges), strict=True)}
+
+
+def present_from(wall: PlannedWall, times: StageTimes) -> float:
+    """Time [s] at which a wall appears; infinite if it never does."""
+    started = [times[name][0] for name in wall.stages or times if name in times]
+    return max(wall.appears_at, min(started, default=np.inf))
+
+
+def is_present(wall: PlannedWall, time: float, times: StageTimes) -> bool:
+    """Whether a wall is present at `time` [s]."""
+    stage = next((name for name, (start, end) in times.items() if start <= time < end), None)
+    return stage is not None and wall.is_present(stage, time)
+
+
+# Forecasts of insertion regions that walls cut, and of initial particles inside walls.
+
+SAMPLES = 2000
+"""Number of random positions at which a region is compared with the walls."""
+
+
+def region_warnings(scene: Scene, plan: Plan, times: StageTimes) -> Iterator[str]:
+    """A sentence for each region and wall where particles would be inserted with overlaps above the limit."""
+    for name, group in scene.particles.items():
+        region = region_of(group)
+        if region is None or group.fixed:
+            continue
+        radius = 0.5 * outer_diameter_range(group)[0]
+        if radius > region.radius_max:
+            continue  # the particles do not fit: reported when they are generated
+        points = region.sample(np.full(SAMPLES, radius), np.random.default_rng(0))
+        bodies = spheres_by_particle(group, points, np.full(SAMPLES, radius), None)
+        start = getattr(group.insert, "start", 0.0)
+        for wall, overlap in _overlaps(plan.walls, bodies, start, times):
+            share = float(np.mean(overlap > plan.max_overlap))
+            if share > 0.0:
+                yield (
+                    f"particles.{name}.insert ({scene.where('particles', name, 'insert')}): {100 * share:.3g} % of the "
+                    f"positions in the region are inside or behind walls.{wall.name}, and particles there stop the "
+                    "run. Choose a region that does not intersect the wall."
+                )
+
+
+def particle_warnings(scene: Scene, plan: Plan, particles: ParticleData) -> Iterator[str]:
+    """A sentence for each group and wall whose initial particles overlap the wall by more than the limit.
+
+    Groups in regions are compared with walls by `region_warnings`.
+    """
+    times = nominal_times(plan.stages)
+    for number, (name, group) in enumerate(scene.particles.items()):
+        own = np.flatnonzero(particles.group == number)
+        if group.fixed or not len(own) or region_of(group) is not None:
+            continue
+        points, turns = particles.position[own], particles.orientation
+        bodies = spheres_by_particle(group, points, particles.radius[own], None if turns is None else turns[own])
+        for wall, overlap in _overlaps(plan.walls, bodies, 0.0, times):
+            count = int((overlap > plan.max_overlap).sum())
+            if count:
+                worst = int(overlap.argmax())
+                x, y, z = points[worst]
+                yield (
+                    f"particles.{name} ({scene.where('particles', name)}): {count} of {len(own)} particles are inside "
+                    f"walls.{wall.name} at the start, by up to {overlap[worst]:.3g} of the radius, at "
+                    f"[{x:.4g}, {y:.4g}, {z:.4g}] m. Move them out, or move the wall."
+                )
+
+
+def _overlaps(
+    walls: Sequence[PlannedWall], bodies: tuple[np.ndarray, np.ndarray], time: float, times: StageTimes
+) -> Iterator[tuple[PlannedWall, np.ndarray]]:
+    """For each wall that is present at `time` [s]: largest overlap over the radius (n,) of the spheres of a particle.
+
+    `bodies`: centers (n, k, 3) [m] and radii (n, k) [m] of spheres.
+    """
+    points, radius = bodies[0].reshape(-1, 3), bodies[1].reshape(-1)
+    for wall in walls:
+        if not is_present(wall, time, times):
+            continue
+        at = pose([each.at(_started(times, time)) for each in wall.motions], np.array([time]))
+        local = (points - at.pivot - at.offset[0]) @ at.rotation[0] + at.pivot
+        overlap = 1.0 - distance_from(wall.shape, local, float(radius.max())) / radius
+        yield wall, overlap.reshape(bodies[1].shape).max(axis=1)
+
+
+def _started(times: StageTimes, time: float) -> Mapping[str, tuple[float, float]]:
+    """The stages that have begun at `time` [s]."""
+    return {name: span for name, span in times.items() if span[0] <= time}
+
+
+# Forecasts of values that are possible, but probably have a wrong unit.
+
+LIGHTEST = 20.0
+"""Density [kg/m3] of light foams. There is no upper limit: scaled densities are common."""
+MOST_FRICTION = 5.0
+"""Coefficient of friction above that of all granular materials."""
+FASTEST_SURFACE = 10.0
+"""Surface speed of a wall [m/s] above that of drums, mixers and conveyors."""
+
+
+def unit_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence for each density, friction, surface speed and expected angle that suggests another unit."""
+    for name, material in scene.materials.items():
+        if material.density < LIGHTEST:
+            where = scene.where("materials", name, "density")
+            yield (
+                f"materials.{name}.density ({where}) is {material.density:.3g} kg/m3, less than light foams: check "
+                "the unit (2.5 g/cm3 is 2500 kg/m3)."
+            )
+    yield from _too_hard(scene)
+    yield from _unused_cohesion(scene)
+    for name, pair in scene.pairs.items():
+        if pair.friction > MOST_FRICTION:
+            yield (
+                f"pairs.{name}.friction ({scene.where('pairs', name, 'friction')}) is {pair.friction:.3g}: it is a "
+                "coefficient, the tangent of the friction angle, such as 0.5."
+            )
+    yield from _speed_warnings(scene)
+    for index, each in enumerate(scene.expect):
+        bounds = [*(each.between or ()), *filter(None, (each.below, each.above, each.equals))]
+        if unit_of(each.quantity) == "rad" and max(map(abs, bounds), default=0.0) > pi:
+            yield (
+                f"expect[{index}] ({scene.where('expect', str(index))}): {each.quantity} is in rad, and the bound is "
+                f"{max(map(abs, bounds)):.3g} rad. Write degrees with the unit, such as 25 deg."
+            )
+
+
+def _too_hard(scene: Scene) -> Iterator[str]:
+    """A sentence for each material of mobile particles that is harder than diamond.
+
+    Walls and fixed particles of such a material are rigid, which is often intended.
+    """
+    for name in dict.fromkeys(group.material for group in scene.particles.values() if not group.fixed):
+        modulus = scene.materials[name].young_modulus
+        if modulus > HARDEST:
+            yield (
+                f"materials.{name}.young_modulus ({scene.where('materials', name, 'young_modulus')}) is "
+                f"{pressure_words(modulus)}, more than that of diamond: check the unit (1 N/mm2 is 1 MPa)."
+            )
+
+
+def _unused_cohesion(scene: Scene) -> Iterator[str]:
+    """A sentence on the parameters of a cohesion that is switched off."""
+    if scene.contact.name("cohesion") != "none":
+        return
+    for option in registry.pair_options().values():
+        models = registry.models_with(option.key)
+        names = [name for name, pair in scene.pairs.items() if getattr(pair, option.key)]
+        if list(models) == ["cohesion"] and names:
+            yield (
+                f"pairs.{names[0]}.{option.key} ({scene.where('pairs', names[0], option.key)}) is not used, because "
+                f"contact.cohesion is none; {' or '.join(models['cohesion'])} would use it."
+            )
+
+
+def _speed_warnings(scene: Scene) -> Iterator[str]:
+    """A sentence on the fastest wall, if angular velocities are probably not in rad/s."""
+    rotating = [
+        name for name, wall in scene.walls.items() if any(hasattr(each, "angular_velocity") for each in wall.motion)
+    ]
+    if rotating and (speed := surface_speed(scene)) > FASTEST_SURFACE:
+        name = rotating[0]
+        yield (
+            f"walls.{name}.motion ({scene.where('walls', name, 'motion')}): walls move at up to {speed:.3g} m/s. "
+            "Angular velocities are in rad/s: write 30 rpm or 180 deg/s with the unit."
+        )
+
+
+# Forecasts of walls that are far outside the domain, of walls that leave it, and of coincident walls.
+
+POINTS_PER_AXIS = 13
+"""Points along each axis of the domain at which the distance from a wall is computed."""
+SAME_CORNER = 1e-6
+"""Distance of corners over the size of a wall below which they are the same."""
+TIMES = 40
+"""Times of the run at which the position of a moving wall is computed."""
+
+
+def wall_warnings(scene: Scene, walls: Sequence[PlannedWall], times: StageTimes) -> Iterator[str]:
+    """A sentence for each wall that no particle can touch, or that leaves the domain without an end of its motion.
+
+    Domains that expand have no outside. Meshes outside the domain have notes of their own, and walls that are much
+    larger than the domain are reported by `size_warnings`.
+    """
+    if scene.domain.on_exit == "expand":
+        return
+    for wall in walls:
+        if oversized(scene, wall.name, scene.walls[wall.name]):
+            continue
+        endless = _is_endless(scene, wall)
+        if isinstance(wall.shape, Mesh) and not endless:
+            continue
+        if _wall_gaps(scene, wall, times, 1)[0] <= 0.0 and not endless:
+            continue
+        gap = _wall_gaps(scene, wall, times, TIMES if wall.motions else 1)
+        if (gap > 0.0).all():
+            yield _outside(scene, wall, float(gap.min()))
+        elif gap[-1] > 0.0 and endless:
+            yield _leaves(scene, wall, times, gap)
+
+
+def coincidence_warnings(scene: Scene, walls: Sequence[PlannedWall]) -> Iterator[str]:
+    """A sentence for each wall with the surface of another one that moves and is present like it.
+
+    Particles are in contact with the first one only, see `engine.wall_contact`.
+    """
+    for first, second in combinations(walls, 2):
+        times = [(each.motions, each.stages, each.appears_at, each.vanishes_at) for each in (first, second)]
+        if times[0] == times[1] and _are_equal(first.shape, second.shape):
+            yield (
+                f"walls.{second.name} ({scene.where('walls', second.name)}) has the same surface as walls.{first.name}:"
+                f" particles are in contact with walls.{first.name} only, and its material counts. Remove one of the "
+                "two."
+            )
+
+
+def _are_equal(one: Surface, other: Surface) -> bool:
+    """Whether two surfaces have the same corners, or are the same half space, within rounding."""
+    if not isinstance(one, Mesh) and not isinstance(other, Mesh):
+        if one.kind is not other.kind:
+            return False
+        if one.kind is HALF_SPACE:
+            normal, distance = one.parameters[3:6], (other.parameters[0:3] - one.parameters[0:3]) @ one.parameters[3:6]
+            size = np.abs([one.parameters[0:3], other.parameters[0:3]]).max()
+            is_parallel = np.linalg.norm(normal - other.parameters[3:6]) <= SAME_CORNER
+            return bool(is_parallel and abs(distance) <= SAME_CORNER * size)
+    points, other_points = (triangles(each, np.zeros(3), 1.0)[0] for each in (one, other))
+    if points.shape != other_points.shape:
+        return False
+    size = np.ptp(points, axis=0).max()
+    points, other_points = (np.round(each / (SAME_CORNER * size)) for each in (points, other_points))
+    return np.array_equal(*(each[np.lexsort(each.T)] for each in (points, other_points)))
+
+
+def _wall_gaps(scene: Scene, wall: PlannedWall, times: StageTimes, count: int) -> np.ndarray:
+    """Lower bound of the gap [m] between the wall and the nearest particle in the domain, at `count` times of the run.
+
+    The centers of particles are anywhere in the domain. Of points at a spacing h, one is within h sqrt(3)/2 of the
+    nearest center. The first time is that at which the wall appears, the last one the end of the run.
+    """
+    low, high = np.array(scene.domain.min), np.array(scene.domain.max)
+    axes = [np.linspace(*span, POINTS_PER_AXIS) for span in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    reach = 0.5 * float(np.linalg.norm((high - low) / (POINTS_PER_AXIS - 1)))
+    reach += 0.5 * max(outer_diameter_range(group)[1] for group in scene.particles.values())
+    end = max(stage_end for _, stage_end in times.values())
+    poses = pose([each.at(times) for each in wall.motions], np.linspace(present_from(wall, times), end, count))
+    gaps = []
+    for offset, rotation in zip(poses.offset, poses.rotation, strict=True):
+        local = (points - poses.pivot - offset) @ rotation + poses.pivot
+        gaps.append(float(np.abs(distance_from(wall.shape, local, reach)).min()) - reach)
+    return np.array(gaps)
+
+
+def _outside(scene: Scene, wall: PlannedWall, gap: float) -> str:
+    low, high = scene.domain.min, scene.domain.max
+    size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name)}) is at least {gap:.3g} m outside the domain of {size} "
+        "m: no particle can be in contact with it. Check the units of its lengths, or enlarge the domain."
+    )
+
+
+def _is_endless(scene: Scene, wall: PlannedWall) -> bool:
+    """Whether a wall is present and translates until the run ends, without limits of its time."""
+    moves = [each for each in scene.walls[wall.name].motion if isinstance(each, Translation)]
+    return wall.is_permanent and any(each.end is None and each.stages is None for each in moves)
+
+
+def _leaves(scene: Scene, wall: PlannedWall, times: StageTimes, gap: np.ndarray) -> str:
+    """Sentence on a wall that leaves the domain; `gap` (k,) [m] at times of the run."""
+    end = max(stage_end for _, stage_end in times.values())
+    last = int(np.flatnonzero(gap <= 0.0)[-1])
+    left = np.linspace(present_from(wall, times), end, len(gap))[min(last + 1, len(gap) - 1)]
+    return (
+        f"walls.{wall.name} ({scene.where('walls', wall.name, 'motion')}) leaves the domain: after {left:.3g} s of "
+        f"{end:.3g} s no particle can be in contact with it. If this is intended, give its motion an end or the "
+        "wall vanishes_at."
+    )
+
+
+# All forecasts of a scene that need no particles.
+
+
+def forecasts_of(scene: Scene, plan: Plan) -> Iterator[Forecast]:
+    """Forecasts of overlaps, walls, regions and servos; `plan`: that of the scene, without forecasts."""
+    pairs, times = list(touching_pairs(plan)), nominal_times(plan.stages)
+    supported = list(supported_pairs(scene, plan))
+    hitting = [*pairs, *(pair for pair, _weight in supported)]
+    expected = forecast_velocity(scene, plan)
+    impact = impact_forecast(plan, hitting, expected.value, expected.source)
+    if impact is not None and impact.warning is not None:  # the paths over the walls take time
+        expected = path_velocity(scene, plan)
+        impact = impact_forecast(plan, hitting, expected.value, expected.source)
+    if impact is not None:
+        yield impact
+    static = list(static_forecasts(plan, pairs, bed_pressures(scene, plan)))
+    below = supported_forecast(plan, supported)
+    static += [] if below is None else [below]
+    yield from static
+    yield from vibration_forecasts(scene)
+    explained = max((each.overlap for each in static), default=0.0)
+    for sentence in (
+        *file_warnings(scene.particles, explained, 0.0 if impact is None else impact.overlap),
+        *size_warnings(scene),
+        *clump_warnings(scene),
+        *wall_warnings(scene, plan.walls, times),
+        *coincidence_warnings(scene, plan.walls),
+        *region_warnings(scene, plan, times),
+        *servo_warnings(scene, plan, times),
+        *insertion_warnings(scene, plan, times),
+        *flow_warnings(scene, plan),
+        *interval_warnings(scene, times),
+        *unit_warnings(scene),
+        *velocity_warnings(scene, plan),
+    ):
+        yield Forecast("", "", sentence, sentence)

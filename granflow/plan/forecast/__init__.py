@@ -1,1 +1,0 @@
-"""Forecasts: what a plan can tell before the run about overlaps, walls, regions and servos that would go wrong."""

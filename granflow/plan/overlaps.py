@@ -1,0 +1,618 @@
+"""Forecasts of the largest overlaps: in impacts, and at rest under the weight, walls and cohesion."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from math import log, pi
+from types import SimpleNamespace
+from typing import Literal
+
+import numpy as np
+
+from granflow.contact import theory
+from granflow.contact.law import ContactState, Law
+from granflow.contact.laws import ContactLaws
+from granflow.contact.material import PairMaterial, Solid
+from granflow.geometry.catalog import area_of
+from granflow.geometry.shape import sphere_mass, sphere_volume
+from granflow.load import Scene
+from granflow.particles.group import draw_diameters
+from granflow.particles.packing import BoxSampler, CylinderSampler, sampler_of
+from granflow.plan.limits import section
+from granflow.plan.parts import PlannedGroup, diameter_range
+from granflow.plan.plan import Forecast, Plan
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.particles import FileInsertion, Group, LatticeInsertion, PackInsertion, PositionsInsertion
+from granflow.scene.blocks.run import LARGEST_OVERLAP
+
+# Largest overlap of one contact in an impact and under a static load, by the reference implementation of
+# its model.
+
+STEPS_OF_LOADING = 200
+"""Steps of the integration of an impact in its loading time; the error of the overlap is below 0.1 %."""
+MAX_LOADING_TIMES = 5
+"""Longest integration in loading times: with an attraction the loading lasts longer than without."""
+MAX_OVERLAP_SHARE = 2.0
+"""Largest overlap, over the smaller radius, of the search for a static overlap."""
+BISECTIONS = 30
+"""Halvings of the interval in which a static overlap lies: resolves it to 2e-9 of the radius."""
+
+
+@dataclass(frozen=True)
+class TouchingPair:
+    """Two bodies that can be in contact.
+
+    materials:   names of both materials, those of the particle first
+    pair:        mixed constants of the materials
+    radius:      of the smaller particle [m], to which overlaps refer
+    radius_eff:  [m]
+    mass_eff:    [kg]
+    """
+
+    name: str
+    materials: tuple[str, str]
+    pair: PairMaterial
+    radius: float
+    radius_eff: float
+    mass_eff: float
+
+    def stiffer(self, factor: float) -> "TouchingPair":
+        """The same pair with both effective moduli multiplied by `factor`."""
+        pair = replace(
+            self.pair,
+            modulus_eff=factor * self.pair.modulus_eff,
+            shear_modulus_eff=factor * self.pair.shear_modulus_eff,
+        )
+        return replace(self, pair=pair)
+
+
+class ContactForces:
+    """Force of the normal and the cohesion model of a pair, by their reference implementations; keeps the history.
+
+    `time_step` [s]: for which models average their damping. At rest, an inelastic contact (restitution 0) carries any
+    load up to the loading curve, which does not depend on the restitution: it is evaluated for the restitution 1.
+    """
+
+    def __init__(self, laws: ContactLaws, pair: TouchingPair, time_step: float) -> None:
+        self.laws: list[tuple[float, Law]] = [(1.0, laws.normal)]
+        self.laws += [(-1.0, laws.cohesion)] if laws.cohesion is not None else []
+        self.pair, self.time_step = pair, time_step
+        self.reset()
+        loading = replace(pair.pair, restitution=1.0) if pair.pair.restitution == 0.0 else pair.pair
+        self.constants = [
+            SimpleNamespace(**dict(zip(law.constant_names, law.pair_constants(loading), strict=False)))
+            for _, law in self.laws
+        ]
+
+    def reset(self) -> None:
+        """Begin a new contact."""
+        self.history = [dict.fromkeys(law.history_names, 0.0) for _, law in self.laws]
+
+    def parts(self, overlap: float, rate: float) -> list[float]:
+        """Normal force [N], and minus the attraction of the cohesion model if there is one.
+
+        `overlap` [m], `rate` [m/s]: overlap rate, positive during approach.
+        """
+        forces = []
+        for index, (sign, law) in enumerate(self.laws):
+            state = ContactState(
+                self.constants[index], self.pair.radius_eff, self.pair.mass_eff, self.time_step, overlap, rate,
+                SimpleNamespace(**self.history[index]),
+            )  # fmt: skip
+            force, changed = law.reference(state)  # type: ignore[attr-defined]
+            self.history[index] |= changed
+            forces.append(sign * float(force))
+        return forces
+
+    def total(self, overlap: float, rate: float) -> float:
+        """Repulsive force [N], negative if the attraction is larger."""
+        return sum(self.parts(overlap, rate))
+
+
+def impact_overlap(laws: ContactLaws, pair: TouchingPair, velocity: float, enough: float = 0.0) -> float:
+    """Largest overlap over the smaller radius of a head-on impact at `velocity` [m/s].
+
+        M d'' = -F(d, d'),     d(0) = 0,     d'(0) = v,     until d' = 0
+
+    by leapfrog, unless the closed form is below `enough`: without attraction it is an upper bound. For elastic loading
+    the energy balance gives d = (5 M v^2 / (4 k))^(2/5) with k = (4/3) E sqrt(R) (Hertz 1882; Zhou 2011, Eq. 5);
+    viscous forces lower it, attractions raise it. Closed form of the model if it has no reference implementation.
+    """
+    arguments = (pair.pair, pair.radius_eff, pair.mass_eff, velocity)
+    elastic = laws.normal.overlap_max(*arguments) / pair.radius
+    if elastic <= enough and not laws.attracts:
+        return elastic
+    step = laws.normal.phase_durations(*arguments)[0] / STEPS_OF_LOADING
+    forces = ContactForces(laws, pair, step)
+    overlap, rate = 0.5 * step * velocity, velocity
+    try:
+        for _ in range(MAX_LOADING_TIMES * STEPS_OF_LOADING):
+            rate -= step * forces.total(overlap, rate) / pair.mass_eff
+            if rate <= 0.0:
+                break
+            overlap += step * rate
+    except NotImplementedError:
+        return elastic
+    return overlap / pair.radius
+
+
+def impact_velocity(laws: ContactLaws, pair: TouchingPair, overlap: float, approach: float) -> float:
+    """Velocity [m/s] of an impact that has reached `overlap` [m] and approaches at `approach` [m/s], without losses.
+
+        v^2 = approach^2 + (2 / M) int_0^d F(x, 0) dx     e.g. (4/5) (k/M) d^2.5, k = (4/3) E sqrt(R) (Hertz 1882)
+
+    The work of attractions, which act before contact too, is not included. Hertz's if the model has no reference
+    implementation.
+    """
+    width = overlap / STEPS_OF_LOADING
+    forces = ContactForces(laws, pair, 1.0)
+    try:
+        work = width * sum(forces.parts((k + 0.5) * width, 0.0)[0] for k in range(STEPS_OF_LOADING))
+    except NotImplementedError:
+        work = 0.4 * theory.hertz_stiffness(pair.pair.modulus_eff, pair.radius_eff) * overlap**2.5
+    return float(np.hypot(approach, np.sqrt(2.0 * work / pair.mass_eff)))
+
+
+def static_overlap(laws: ContactLaws, pair: TouchingPair, load: float) -> float:
+    """Overlap over the smaller radius at which a contact carries `load` [N] at rest; 2 if no smaller one does.
+
+        F(d, 0) = load       e.g. d = (load / k)^(2/3), k = (4/3) E sqrt(R), without attraction (Hertz 1882)
+
+    The contact has no history: it is loaded for the first time. NaN if a model has no reference implementation.
+    """
+
+    forces = ContactForces(laws, pair, 1.0)
+
+    def excess(overlap: float) -> float:
+        forces.reset()
+        return forces.total(overlap, 0.0) - load
+
+    low, high = 0.0, MAX_OVERLAP_SHARE * pair.radius
+    try:
+        if excess(high) < 0.0:
+            return MAX_OVERLAP_SHARE
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if excess(middle) > 0.0 else (middle, high)
+    except NotImplementedError:
+        return float("nan")
+    return high / pair.radius
+
+
+def attraction_share(laws: ContactLaws, pair: TouchingPair, overlap: float) -> float:
+    """Attraction over normal force at an overlap [m] at rest; 0 without a cohesion model."""
+    if laws.cohesion is None:
+        return 0.0
+    normal, attraction = ContactForces(laws, pair, 1.0).parts(overlap, 0.0)
+    return float(-attraction / normal) if normal > 0.0 else np.inf
+
+
+# The remedies of overlaps that are too large: Young's moduli that keep them below the limit, derived from
+# the law.
+
+LARGEST_FACTOR = 1e12
+"""Largest factor on the moduli that is searched; no modulus helps a model whose stiffness is given as a number."""
+HARDEST = 1.2e12
+"""Young's modulus [Pa] of diamond: if more is required, a unit is probably wrong."""
+MARGIN = 1.1
+"""Recommended over required modulus: of rounding, and of several contacts at a time."""
+STEPS = 60
+"""Bisections of the factor."""
+Overlap = Callable[[TouchingPair], float]
+"""Function from a pair to its largest relative overlap."""
+
+
+def modulus_factor(pair: TouchingPair, overlap: Overlap, limit: float) -> float | None:
+    """Smallest factor on the effective modulus at which the overlap is at most `limit`; None if no factor suffices.
+
+    For Hertz contacts it is (d/limit)^(5/2) for an impact, and (d/limit)^(3/2) for a static load, because
+    d ~ E^(-2/5) at a given energy and d ~ E^(-2/3) at a given force. Solved by bisection for any contact model.
+    """
+    low, high = 1.0, LARGEST_FACTOR
+    if overlap(pair.stiffer(high)) > limit:
+        return None
+    for _ in range(STEPS):
+        if high < 1.001 * low:
+            break
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if overlap(pair.stiffer(middle)) > limit else (low, middle)
+    return high
+
+
+def without_modulus(pair: TouchingPair, overlap: Overlap) -> str:
+    """Instruction for an overlap that no modulus reduces enough: the stiffness is a number, or a unit is wrong."""
+    if overlap(pair.stiffer(LARGEST_FACTOR)) > 0.99 * overlap(pair):
+        return "raise the stiffness of contact.normal"
+    return "check the units of densities, sizes, velocities and forces, because no Young's modulus is high enough"
+
+
+def required_moduli(solids: Mapping[str, Solid], materials: tuple[str, str], factor: float) -> dict[str, float]:
+    """Young's moduli [Pa] by material that raise the effective modulus of two materials by `factor`.
+
+        1/E = (1 - nu1^2)/E1 + (1 - nu2^2)/E2
+
+    Only the softer material changes if it stays softer than the other one; otherwise both get the same modulus. Rounded
+    up to two digits, with MARGIN.
+    """
+    names = sorted(dict.fromkeys(materials), key=lambda name: solids[name].young_modulus)
+    soft, hard = solids[names[0]], solids[names[-1]]
+    of_soft, of_hard = (1.0 - each.poisson_ratio**2 for each in (soft, hard))
+    target = (of_soft / soft.young_modulus + of_hard / hard.young_modulus) / (MARGIN * factor)
+    both = (of_soft + of_hard) / target
+    if both >= hard.young_modulus:
+        return {name: rounded_up(both) for name in names}
+    return {names[0]: rounded_up(of_soft / (target - of_hard / hard.young_modulus))}
+
+
+def rounded_up(value: float) -> float:
+    """A value rounded up to two digits."""
+    text = f"{value:.1e}"
+    return float(text) if float(text) >= value else float(f"{value * 1.05:.1e}")
+
+
+def modulus_text(moduli: Mapping[str, float]) -> str:
+    """Instruction that sets Young's moduli [Pa]: `set materials.rubber.young_modulus to 2.6e+07 Pa`."""
+    if (highest := max(moduli.values(), default=0.0)) > HARDEST:
+        words = pressure_words(highest)
+        return f"check the units of lengths, velocities, densities and forces: a modulus of {words} would be required"
+    parts = [f"materials.{name}.young_modulus to {pressure_words(value)}" for name, value in moduli.items()]
+    return f"set {' and '.join(parts)}"
+
+
+def pressure_words(value: float) -> str:
+    """A pressure or modulus [Pa] in GPa, MPa, kPa or Pa."""
+    for unit, size in (("GPa", 1e9), ("MPa", 1e6), ("kPa", 1e3)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value:.3g} Pa"
+
+
+# Static pressures of a scene, of the weight of the bed and of force-controlled walls, and their contact
+# forces.
+
+SOLID_FRACTION = 0.6
+"""Solid fraction of a settled bed of spheres."""
+COORDINATION = 6.0
+"""Mean number of contacts of a sphere: 6 in an isostatic packing without friction, 4 to 6 with friction."""
+FORCE_DECAY = 1.5
+"""Decay beta of the distribution of contact forces over their mean, P(f) ~ exp(-beta f) for f > 1.
+
+(D. M. Mueth, H. M. Jaeger & S. R. Nagel, Phys. Rev. E 57 (1998) 3164: beta = 1.5 +- 0.1.)
+"""
+SAMPLE = 1000
+"""Number of diameters of which the mean mass of a group is computed; lists have one diameter per particle."""
+PressureKind = Literal["weight", "wall"]
+
+
+@dataclass(frozen=True)
+class BedPressure:
+    """A pressure [Pa] in the bed at rest, its cause in words, and the number of contacts that carry it."""
+
+    kind: PressureKind
+    cause: str
+    pressure: float
+    contact_count: float
+
+    def largest_force(self, diameter: float) -> float:
+        """Largest contact force [N] of spheres with a diameter [m].
+
+            F = f pi d^2 p / (phi Z),      f = ln(2 N) / beta
+
+        The mean normal force in a packing of equal spheres under a pressure p is pi d^2 p / (phi Z) (H. Rumpf, Chem.
+        Ing. Tech. 42 (1970) 538). Of N forces with the tail exp(-beta f), the largest is about ln(2 N) / beta times the
+        mean.
+        """
+        mean = pi * diameter**2 * self.pressure / (SOLID_FRACTION * COORDINATION)
+        return max(log(2.0 * self.contact_count) / FORCE_DECAY, 1.0) * mean
+
+
+def bed_pressures(scene: Scene, plan: Plan) -> Iterator[BedPressure]:
+    """The pressures of a scene: the weight of its particles, and each wall that presses on them."""
+    diameter = 2.0 * plan.radius_max
+    count = sum(group.count for group in plan.groups if not group.fixed)
+    weight, area = weight_pressure(scene, plan.solids)
+    if weight > 0.0:
+        contacts = min(3.0 * count, max(3.0 * area / diameter**2, 1.0))
+        yield BedPressure("weight", f"the weight of the bed ({pressure_words(weight)} at its bottom)", weight, contacts)
+    for motion in plan.controlled_motions:
+        area = area_of(plan.walls[motion.wall].shape) or section(plan.domain, motion.direction)
+        if motion.force > 0.0 and count > 1:
+            pressure = motion.force / area
+            cause = f"walls.{motion.name}, which presses with {motion.force:.3g} N ({pressure_words(pressure)})"
+            yield BedPressure("wall", cause, pressure, 3.0 * count)
+
+
+def weight_pressure(scene: Scene, solids: Mapping[str, Solid]) -> tuple[float, float]:
+    """Pressure [Pa] of the weight of all mobile particles at the bottom of the bed, and the section of the bed [m2].
+
+        p = |g| sum M_i / A_i,       at most 0.64 rho |g| H
+
+    A lattice or a packing has the section A of its region, given positions that of their bounding box; other particles
+    can fill the domain. With H, the height of
+    the domain, and the density of the random close packing, the pressure is not above that of a full domain. The walls
+    carry a part of the weight (Janssen 1895), which is not considered: the pressure is an upper bound for a bed that
+    keeps its section.
+    """
+    gravity = np.array(scene.gravity)
+    size = np.subtract(scene.domain.max, scene.domain.min)
+    total, largest_section, densest = 0.0, 0.0, 0.0
+    magnitude = float(np.linalg.norm(gravity))
+    for group in scene.particles.values():
+        if group.fixed or not magnitude:
+            continue
+        area, density = _section_of(scene.domain, group, gravity / magnitude), solids[group.material].density
+        total += magnitude * group.count * mean_volume(group) * density / area
+        largest_section, densest = max(largest_section, area), max(densest, density)
+    return min(total, 0.64 * densest * float(np.abs(gravity) @ size)), largest_section
+
+
+def mean_volume(group: Group) -> float:
+    """Mean volume [m3] of the particles of a group, from a sample of at most SAMPLE diameters; that of a clump."""
+    if group.clump is not None:
+        return group.clump.shape.volume
+    if isinstance(group.insert, FileInsertion):
+        diameters = np.array(diameter_range(group))
+    else:
+        count = group.count if isinstance(group.sizes, tuple) else min(group.count, SAMPLE)
+        diameters = draw_diameters(group.sizes, count, np.random.default_rng(0))
+    return float(np.mean(sphere_volume(0.5 * diameters)))
+
+
+def solid_volume(particles: Mapping[str, Group]) -> float:
+    """Volume [m3] of all particles."""
+    return sum(group.count * mean_volume(group) for group in particles.values())
+
+
+def _section_of(domain: Domain, group: Group, down: np.ndarray) -> float:
+    """Section [m2] of the region of a group across the unit vector `down`; that of the domain for other insertions."""
+    if isinstance(group.insert, PositionsInsertion):
+        x, y, z = np.ptp(np.array(group.insert.positions), axis=0) + diameter_range(group)[1]
+        return float(np.abs(down) @ [y * z, z * x, x * y])
+    if not isinstance(group.insert, LatticeInsertion | PackInsertion):
+        return section(domain, down)
+    region = sampler_of(group.insert.region)
+    if isinstance(region, BoxSampler):
+        x, y, z = region.high - region.low
+        return float(np.abs(down) @ [y * z, z * x, x * y])
+    assert isinstance(region, CylinderSampler)
+    along = abs(float(region.frame[2] @ down))
+    return (
+        along * pi * region.radius**2 + float(np.sqrt(1.0 - min(along, 1.0) ** 2)) * 2.0 * region.radius * region.length
+    )
+
+
+ENOUGH = 1.05
+"""Recommended over forecast overlap limit."""
+
+
+@dataclass(frozen=True)
+class _Largest:
+    """The pair with the largest overlap of one cause, and the instruction that all pairs of this cause require."""
+
+    pair: TouchingPair
+    overlap: float
+    instruction: str
+
+
+def impact_forecast(plan: Plan, pairs: Iterable[TouchingPair], velocity: float, source: str) -> Forecast | None:
+    """The largest overlap of an impact at the maximum velocity [m/s]; `source`: origin of the velocity."""
+    limit = plan.max_overlap
+    largest = _largest(plan, pairs, lambda pair: impact_overlap(plan.laws, pair, velocity, limit))
+    if largest is None:
+        return None
+    remark = f"{largest.pair.name} at {velocity:.3g} m/s, {source}"
+    warning = None
+    if largest.overlap > limit:
+        warning = (
+            f"{largest.pair.name}: an impact at {velocity:.3g} m/s, {source}, overlaps by {_share(largest.overlap)}, "
+            f"{_above(plan)} {_remedy(largest)}, or set run.velocity_max lower if all impacts are slower."
+        )
+    return Forecast("overlap of impacts", _share(largest.overlap), remark, warning, "impact", largest.overlap)
+
+
+def static_forecasts(plan: Plan, pairs: Iterable[TouchingPair], pressures: Iterable[BedPressure]) -> Iterator[Forecast]:
+    """The largest overlap at rest without load (only with cohesion), and under each load.
+
+    A warning of a load is omitted if cohesion alone exceeds the limit.
+    """
+    touching = list(pairs)
+    cohesive = None if plan.laws.cohesion is None else cohesion_forecast(plan, touching)
+    if cohesive is not None:
+        yield cohesive
+    for load in pressures:
+        largest = _largest(plan, touching, partial(loaded_overlap, plan.laws, load))
+        if largest is None:
+            continue
+        warning = None
+        if largest.overlap > plan.max_overlap and (cohesive is None or cohesive.warning is None):
+            warning = (
+                f"{largest.pair.name}: under {load.cause} contacts overlap by {_up_to(largest.overlap)}, "
+                f"{_above(plan)} {_remedy(largest)}."
+            )
+        name = "overlap under the weight" if load.kind == "weight" else "overlap under a wall"
+        remark = f"{largest.pair.name} under {load.cause}"
+        force = load.largest_force(2.0 * largest.pair.radius)
+        yield Forecast(name, _up_to(largest.overlap), remark, warning, load.kind, largest.overlap, force)
+
+
+def supported_forecast(plan: Plan, pairs: Iterable[tuple[TouchingPair, float]]) -> Forecast | None:
+    """The largest overlap under the weight [N] of a large particle on one of the small ones that carry it."""
+    supported = list(pairs)
+    weights = {pair.name: weight for pair, weight in supported}  # also of pairs with another modulus
+    largest = _largest(
+        plan, (pair for pair, _weight in supported), lambda pair: static_overlap(plan.laws, pair, weights[pair.name])
+    )
+    if largest is None:
+        return None
+    warning = None
+    if largest.overlap > plan.max_overlap:
+        warning = (
+            f"{largest.pair.name}: under the weight of one particle the contacts below it overlap by "
+            f"{_up_to(largest.overlap)}, {_above(plan)} {_remedy(largest)}."
+        )
+    remark = f"{largest.pair.name}, at rest"
+    force = weights[largest.pair.name]
+    return Forecast(
+        "overlap under a particle", _up_to(largest.overlap), remark, warning, "weight", largest.overlap, force
+    )
+
+
+def cohesion_forecast(plan: Plan, pairs: Iterable[TouchingPair]) -> Forecast | None:
+    """The overlap at which repulsion and attraction balance: particles that touch are drawn together up to it."""
+    largest = _largest(plan, pairs, lambda pair: static_overlap(plan.laws, pair, 0.0))
+    if largest is None:
+        return None
+    warning = None
+    if largest.overlap > plan.max_overlap:
+        assert plan.laws.cohesion is not None
+        keys = " or ".join(plan.laws.cohesion.constant_names)
+        warning = (
+            f"{largest.pair.name}: the cohesion alone draws particles together by {_share(largest.overlap)}, "
+            f"{_above(plan)} Lower {keys}, or {_remedy(largest, capital=False)}."
+        )
+    remark = f"{largest.pair.name}, without load"
+    return Forecast("overlap by cohesion", _share(largest.overlap), remark, warning, "cohesion", largest.overlap)
+
+
+def loaded_overlap(laws: ContactLaws, load: BedPressure, pair: TouchingPair) -> float:
+    """Largest relative overlap of a pair under a load; the pressure acts on its smaller particle."""
+    return static_overlap(laws, pair, load.largest_force(2.0 * pair.radius))
+
+
+def _largest(plan: Plan, pairs: Iterable[TouchingPair], overlap: Overlap) -> _Largest | None:
+    """The pair with the largest overlap, and the instruction that reduces all to the limit; None without pairs."""
+    found = [(overlap(pair), pair) for pair in pairs]
+    found = [each for each in found if each[0] == each[0]]  # NaN: a model without reference implementation
+    if not found:
+        return None
+    limit, worst = plan.max_overlap, max(found, key=lambda each: each[0])
+    moduli: dict[str, float] = {}
+    for size, pair in found:
+        if size > limit:
+            factor = modulus_factor(pair, overlap, limit)
+            if factor is None:
+                return _Largest(worst[1], worst[0], without_modulus(pair, overlap))
+            for name, value in required_moduli(plan.solids, pair.materials, factor).items():
+                moduli[name] = max(moduli.get(name, 0.0), value)
+    return _Largest(worst[1], worst[0], modulus_text(moduli))
+
+
+def _above(plan: Plan) -> str:
+    """End of a sentence on an overlap above the limit."""
+    place = plan.sources.get("numerics.max_overlap")
+    return f"and the run stops above numerics.max_overlap {plan.max_overlap:g}{f' ({place})' if place else ''}."
+
+
+def _remedy(largest: _Largest, capital: bool = True) -> str:
+    """The remedies: moduli, or a higher limit if it is allowed."""
+    needed = float(f"{ENOUGH * largest.overlap + 0.005:.2f}")
+    accept = f", or set numerics.max_overlap to {needed:g} if such overlaps are intended"
+    text = largest.instruction + (accept if needed <= LARGEST_OVERLAP else "")
+    return text[0].upper() + text[1:] if capital else text
+
+
+def _up_to(overlap: float) -> str:
+    return f"up to {_share(overlap)}" if overlap < 1.0 else _share(overlap)
+
+
+def _share(overlap: float) -> str:
+    return f"{overlap:.3g} of the radius" if overlap < 1.0 else "more than the radius"
+
+
+# The pairs of bodies of a plan that can be in contact, for the forecasts of overlaps.
+
+SUPPORTED_RATIO = 3.0
+"""Smallest ratio of radii at which a particle hits small ones as a bed: particles of similar size move each other."""
+SHALLOW = 0.5
+"""Largest depth of a bed that supports its particles, over the radius of the large particle.
+
+In runs with a bed of 2.3 mm (1 mm particles of 10 MPa, 0.3 m/s), a particle of 5 mm overlaps by 0.06 of the small
+radius, 0.3 times the value for a supported bed; those of 10 and 20 mm by 0.16 and 0.46, 0.4 and 0.8 times this value.
+"""
+LAYER_FRACTION = 0.8
+"""Share of an area that a layer of spheres covers."""
+
+
+def touching_pairs(plan: Plan) -> Iterator[TouchingPair]:
+    """All pairs of groups, and of groups and wall materials, with the sizes of the largest relative overlaps.
+
+    Two groups: smallest and largest sizes in all combinations, because the overlap refers to the smaller particle, and
+    a small one that hits a large one overlaps most. Walls have an infinite radius and mass, as have fixed particles
+    concerning their mass.
+    """
+    walls = dict.fromkeys(plan.materials[wall.material] for wall in plan.walls)
+    for index, group in enumerate(plan.groups):
+        for other in plan.groups[index:]:
+            if _collide(plan, group, other):
+                for sizes in dict.fromkeys(product(group.diameters, other.diameters)):
+                    yield _of_particles(plan, group, other, sizes)
+        for wall in walls if not group.fixed else ():
+            yield _of_wall(plan, group, wall)
+
+
+def supported_pairs(scene: Scene, plan: Plan) -> Iterator[tuple[TouchingPair, float]]:
+    """Pairs of a particle and of much smaller ones in a shallow bed below it, and the weight [N] on one of these.
+
+    A bed is shallow if it is not deeper than SHALLOW times the radius R of the large particle; small ones, radius r, in
+    a deeper bed give way. The floor supports those in a shallow bed. At the overlap limit d the large particle, mass M,
+    touches those within the radius a of its contact area,
+
+        N = phi a^2 / r^2,   a^2 = 2 R d,     at least 1
+
+    each of which carries M |g| / N. An impact compresses 2 N contacts, those with the large particle and those below:
+    for each the effective mass is M / (2 N). Without gravity there is no bed.
+    """
+    magnitude = float(np.linalg.norm(plan.gravity))
+    for large, small in product(plan.groups, plan.groups):
+        if large.fixed or small.fixed or not magnitude or not _collide(plan, large, small):
+            continue
+        radius, radius_small = 0.5 * max(large.diameters), 0.5 * min(small.diameters)
+        count = max(2.0 * LAYER_FRACTION * radius * plan.max_overlap / radius_small, 1.0)
+        if radius < SUPPORTED_RATIO * radius_small or small.count <= count:
+            continue
+        if _depth(scene, plan, radius) > SHALLOW * radius:
+            continue
+        pair = _of_particles(plan, large, small, (2.0 * radius, 2.0 * radius_small))
+        mass = _mass(plan, large, radius)
+        name = f"particles of {large.name} on the smallest of {small.name}"
+        supported = replace(pair, name=name, mass_eff=max(mass / (2.0 * count), pair.mass_eff))
+        yield supported, magnitude * mass / count
+
+
+def _depth(scene: Scene, plan: Plan, radius: float) -> float:
+    """Depth [m] of a bed at rest of all mobile particles of groups without a radius of at least `radius` [m]."""
+    names = [each.name for each in plan.groups if not each.fixed and 0.5 * max(each.diameters) < radius]
+    volume = solid_volume({name: scene.particles[name] for name in names})
+    return volume / (SOLID_FRACTION * weight_pressure(scene, plan.solids)[1])
+
+
+def _collide(plan: Plan, group: PlannedGroup, other: PlannedGroup) -> bool:
+    """Whether particles of two groups can be in contact."""
+    alone = group is other and group.count < 2
+    materials = (group.material, other.material)
+    return not alone and not (group.fixed and other.fixed) and materials in plan.pair_materials
+
+
+def _of_particles(plan: Plan, group: PlannedGroup, other: PlannedGroup, sizes: tuple[float, float]) -> TouchingPair:
+    """Two particles with the diameters `sizes` [m]; a fixed one has an infinite mass."""
+    radii, materials = np.array(sizes) / 2.0, (group.material, other.material)
+    masses = [_mass(plan, each, radius) for each, radius in zip((group, other), radii, strict=True)]
+    inverse = sum(0.0 if each.fixed else 1.0 / mass for each, mass in zip((group, other), masses, strict=True))
+    radius_eff = float(1.0 / (1.0 / radii).sum())
+    name = f"particles of {group.name if group is other else f'{group.name} and {other.name}'}"
+    pair = plan.pair_materials[materials]
+    return TouchingPair(name, materials, pair, float(radii.min()), radius_eff, float(1.0 / inverse))
+
+
+def _of_wall(plan: Plan, group: PlannedGroup, wall: str) -> TouchingPair:
+    """A particle at a wall of the material `wall`; the relative overlap does not depend on its size (Hertz)."""
+    radius, materials = 0.5 * group.diameters[0], (group.material, wall)
+    name, mass = f"particles of {group.name} and walls of {wall}", _mass(plan, group, radius)
+    return TouchingPair(name, materials, plan.pair_materials[materials], radius, radius, mass)
+
+
+def _mass(plan: Plan, group: PlannedGroup, radius: float) -> float:
+    """Mass [kg] of a sphere of a group with a radius [m], or of the clump to which it belongs."""
+    density = plan.solids[group.material].density
+    return sphere_mass(radius, density) if group.clump is None else group.clump.volume * density

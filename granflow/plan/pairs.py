@@ -1,0 +1,224 @@
+"""Pairs of materials and possible contacts of a scene: contact laws, pair constants, and the cases of the time step."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from granflow.contact import registry
+from granflow.contact.law import SLOTS, ContactModel, ModelRequest
+from granflow.contact.laws import ContactLaws
+from granflow.contact.material import (
+    PairMaterial,
+    Solid,
+    VelocityRestitution,
+    limit_velocity,
+    modulus_eff,
+    shear_modulus_eff,
+    yield_strength,
+)
+from granflow.errors import SceneError
+from granflow.geometry.shape import sphere_mass
+from granflow.load import Scene
+from granflow.plan.parts import PlannedGroup
+from granflow.plan.time_step import PairCase
+from granflow.scene.blocks.materials import Material, MaterialPair, RestitutionFit
+from granflow.visible_text import alternatives
+
+PairMaterials = Mapping[tuple[str, str], PairMaterial]
+"""Mixed constants of two materials by their names in either order."""
+
+
+def active_models(scene: Scene) -> dict[str, ContactModel]:
+    """The contact models of the scene by slot.
+
+    A model with pair options is active only if a pair has a value other than 0; slots without an active model are
+    absent.
+    """
+    found = {}
+    for slot in SLOTS:
+        name = scene.contact.name(slot)
+        model = registry.models(slot).get(name)
+        if model is not None and _acts(model, scene.pairs.values()):
+            found[slot] = model
+    return found
+
+
+def _acts(model: ContactModel, pairs: Iterable[MaterialPair]) -> bool:
+    """Whether a model acts between any of the pairs."""
+    return not model.pair_options or any(getattr(pair, option.key) for pair in pairs for option in model.pair_options)
+
+
+def build_laws(
+    scene: Scene,
+    groups: Sequence[PlannedGroup],
+    models: Mapping[str, ContactModel],
+    pairs: PairMaterials,
+    velocity: float,
+) -> ContactLaws:
+    """The contact laws of the scene from its active models.
+
+    `velocity` [m/s]: maximum expected impact velocity, for which a model may compute its constants. The bound theta^2 M
+    of the unloading tangent refers to the mass of a sphere, also where M is that of a clump: eccentric contacts move
+    less mass.
+    """
+    materials = tuple(pairs[first, second] for first, second in (key.split("-") for key in scene.pairs))
+    unloading_angle = scene.numerics.unloading_angle / max(map(_mass_ratio, groups)) ** 0.5
+    laws: dict[str, Any] = {}
+    for slot, model in models.items():
+        request = ModelRequest(
+            scene.contact.options(slot),
+            materials,
+            velocity,
+            unloading_angle,
+            scene.output.energy_budget,
+            max(0.5 * group.diameters[1] for group in groups),
+        )
+        laws[slot] = model.law.from_scene(request)
+    found = ContactLaws(**laws)
+    if found.damped_slots and not found.normal.has_dashpot:
+        _refuse_dashpot(scene, found.damped_slots[0])
+    return found
+
+
+def _refuse_dashpot(scene: Scene, slot: str) -> None:
+    """Raise SceneError for the dashpot of a slot if the normal model provides none, of which it is a multiple."""
+    damped = [name for name, model in registry.models("normal").items() if getattr(model.law, "has_dashpot", False)]
+    damping = scene.contact.options(slot)["damping"]
+    raise SceneError(
+        f"{scene.locate('contact', slot, 'damping')}: contact.{slot}.damping is {damping:g}, a multiple of "
+        f"the dashpot from which the normal model obtains the restitution, but {scene.contact.name('normal')} has no "
+        f"such dashpot; write 0, or choose {alternatives(damped)} as normal model."
+    )
+
+
+def adhesion_velocity(laws: ContactLaws, cases: Iterable[PairCase]) -> float:
+    """Velocity [m/s] to add to the impact velocity for the time step: cohesion stiffens contacts, see `CohesionLaw`."""
+    law = laws.cohesion
+    if law is None:
+        return 0.0
+    return max(law.equivalent_velocity(case.pair, case.radius_eff, case.mass_eff) for case in cases)
+
+
+def solid(given: Material) -> Solid:
+    """Constants of one material: Young's modulus and yield strength [Pa], density [kg/m3], Poisson ratio."""
+    return Solid(given.young_modulus, given.poisson_ratio, given.density, given.yield_strength)
+
+
+def pair_materials(
+    scene: Scene, models: Mapping[str, ContactModel], solids: Mapping[str, Solid]
+) -> dict[tuple[str, str], PairMaterial]:
+    """Mixed constants of each two materials that can come into contact, by their names in either order."""
+    both = [(first, second) for first in solids for second in solids if scene.pair_key(first, second) in scene.pairs]
+    return {(a, b): _pair_material(scene, models, scene.pair(a, b), solids[a], solids[b]) for a, b in both}
+
+
+def _pair_material(
+    scene: Scene, models: Mapping[str, ContactModel], pair: MaterialPair, a: Solid, b: Solid
+) -> PairMaterial:
+    """Mixed constants of two materials, symmetric under their exchange.
+
+    The restitution is a number, a fit e(v) (Zhou 2011, Eq. 12) with its limit velocity (Eq. 11 unless given), or None.
+    """
+    given = pair.restitution
+    restitution: float | VelocityRestitution | None
+    if isinstance(given, RestitutionFit):
+        restitution = VelocityRestitution(given.sigma, given.psi, given.limit_velocity or limit_velocity(a, b))
+    else:
+        restitution = given
+    surface = [models[slot] for slot in ("tangential", "rolling", "twisting") if slot in models]
+    options = {key: getattr(pair, key, None) or 0.0 for key in registry.pair_options()}
+    return PairMaterial(
+        modulus_eff(a, b),
+        shear_modulus_eff(a, b),
+        restitution,
+        pair.friction,
+        yield_strength(a, b),
+        options,
+        has_tangential_force=any(_acts(model, [pair]) for model in surface),
+        tangential_stiffness=scene.contact.options("tangential").get("stiffness"),
+    )
+
+
+def pair_table(scene: Scene, laws: ContactLaws, pairs: PairMaterials, materials: tuple[str, ...]) -> np.ndarray:
+    """Constants of each pair of materials (materials^2, constants); NaN for pairs without contacts.
+
+    Row i * materials + j, columns as in `ContactLaws.constant_names`. Raises SceneError if a contact model does not
+    support a pair.
+    """
+    count = len(materials)
+    table = np.full((count * count, sum(map(len, laws.constant_names.values()))), np.nan)
+    for row, both in enumerate(product(materials, materials)):
+        if both in pairs:
+            table[row] = _constants(scene, laws, pairs[both], both)
+    return table
+
+
+def _constants(scene: Scene, laws: ContactLaws, pair: PairMaterial, materials: tuple[str, str]) -> tuple[float, ...]:
+    """Row of the pair constants. Raises SceneError if the contact model cannot reach the restitution."""
+    try:
+        return laws.pair_constants(pair)
+    except ValueError as error:
+        key = scene.pair_key(*materials)
+        location = scene.locate("pairs", key, "restitution")
+        raise SceneError(f"{location}: pairs.{key}.restitution cannot be obtained: {error}.") from None
+
+
+def pair_cases_of(
+    scene: Scene, groups: Sequence[PlannedGroup], solids: Mapping[str, Solid], pairs: PairMaterials
+) -> tuple[PairCase, ...]:
+    """The possible contacts between two groups and between a group and a wall, each for the smallest particles.
+
+    A group of one particle does not collide with itself: that contact limits the time step, but has no `pair_key`. If
+    no contact is possible, the contact of the first group with itself limits the time step. Fixed particles collide
+    neither with each other nor with walls; for other particles they are walls with the radius of the largest of them.
+    """
+    pair_cases = []
+    walls = dict.fromkeys(wall.material for wall in scene.walls.values())
+    for n, group in enumerate(groups):
+        for other in groups[n:]:
+            both = (group.material, other.material)
+            if not (group.fixed and other.fixed) and both in pairs:
+                mobile, partner = (other, group) if group.fixed else (group, other)
+                key = scene.pair_key(*both) if group is not other or group.count > 1 else None
+                case = _pair_case(f"{group.name}-{other.name}", pairs[both], solids, mobile, partner)
+                pair_cases.append(replace(case, pair_key=key))
+        for wall in walls if not group.fixed else ():
+            pair, key = pairs[group.material, wall], scene.pair_key(group.material, wall)
+            case = _pair_case(f"{group.name}-{wall} wall", pair, solids, group, None)
+            pair_cases.append(replace(case, pair_key=key))
+    if not pair_cases:
+        group, own = groups[0], solids[groups[0].material]
+        elastic_pair = PairMaterial(modulus_eff(own, own), shear_modulus_eff(own, own), 1.0, 0.0)
+        pair_cases.append(_pair_case(f"{group.name}-{group.name}", elastic_pair, solids, group, group))
+    contacts = max(sum(group.count for group in groups) + len(scene.walls) - 1, 1)
+    return tuple(replace(pair_case, contact_count=contacts) for pair_case in pair_cases)
+
+
+def _pair_case(
+    name: str, pair: PairMaterial, solids: Mapping[str, Solid], group: PlannedGroup, other: PlannedGroup | None
+) -> PairCase:
+    """Contact of the smallest particle of a group with the smallest of another, the largest fixed, or a wall (None)."""
+    smallest, largest = (0.5 * diameter for diameter in group.diameters)
+    material_solid = solids[group.material]
+    mass, ratio = sphere_mass(smallest, material_solid.density), max(_mass_ratio(group), _mass_ratio(other))
+    if other is None:
+        return PairCase(name, pair, smallest, mass, smallest, largest, material_solid, mass_ratio=ratio)
+    other_smallest, other_largest = (0.5 * diameter for diameter in other.diameters)
+    largest = min(largest, other_largest)
+    if other.fixed:
+        radius_eff = smallest * other_largest / (smallest + other_largest)
+        return PairCase(name, pair, radius_eff, mass, smallest, largest, material_solid, mass_ratio=ratio)
+    other_mass = sphere_mass(other_smallest, solids[other.material].density)
+    radius_eff = smallest * other_smallest / (smallest + other_smallest)
+    mass_eff = mass * other_mass / (mass + other_mass)
+    return PairCase(name, pair, radius_eff, mass_eff, smallest, largest, material_solid, mass_ratio=ratio)
+
+
+def _mass_ratio(group: PlannedGroup | None) -> float:
+    """Mass of a clump over that of its smallest sphere; 1 for spheres and walls."""
+    if group is None or group.clump is None:
+        return 1.0
+    return group.clump.volume / sphere_mass(0.5 * group.diameters[0], 1.0)

@@ -1,0 +1,295 @@
+"""Ends of stages on a quantity: the conditions of a stage, evaluated at each row of the time series."""
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from granflow.engine.engine import Engine
+from granflow.engine.wall_dynamics import controlled_forces
+from granflow.errors import GranflowError
+from granflow.fields import unit_of
+from granflow.geometry.catalog import area_of
+from granflow.geometry.motion import is_running
+from granflow.observers.timeseries import Row
+from granflow.plan.limits import ControlledMotion
+from granflow.plan.parts import PlannedStage, StageCondition
+from granflow.plan.plan import Plan
+from granflow.plan.walls import wall_change_times, wall_motions
+
+# Warnings of servo walls that are off their target force when a stage ends.
+
+SAMPLES_PER_STAGE = 100
+"""Number of force samples over the maximum duration of a stage."""
+KEPT = 20
+"""Number of last samples in the mean: the last fifth of a stage without an earlier end."""
+STANDARD_ERRORS = 3.0
+"""Scatter of a mean that is tolerated, in its standard errors: 0.3 % of normally distributed means exceed it."""
+FORCE_TOLERANCE = 0.05
+"""Deviation over the target tolerated without scatter: Hertz overlaps are then 1 - 0.95^(2/3) = 3.4 % too small."""
+
+
+@dataclass
+class ServoForces:
+    """Forces of the controlled motions in the current stage, for the check of the servos at its end.
+
+    next_sample:  time [s] of the next sample; infinite without servos
+    samples:      the last KEPT samples, each with the force [N] of every controlled motion on the particles
+    """
+
+    next_sample: float = inf
+    samples: list[list[float]] = field(default_factory=list)
+
+    def begin(self, engine: Engine, longest: float) -> None:
+        """Begin a stage that lasts up to `longest` [s]."""
+        has_servo = any(motion.kind == "servo" for motion in engine.plan.controlled_motions)
+        self.samples, self.next_sample = [], engine.time + longest / SAMPLES_PER_STAGE if has_servo else inf
+
+    def sample_if_due(self, engine: Engine, longest: float) -> None:
+        """Add a sample if its time is reached."""
+        if engine.reached(self.next_sample):
+            self.next_sample += longest / SAMPLES_PER_STAGE
+            self.samples = [*self.samples, controlled_forces(engine.state).tolist()][-KEPT:]
+
+    def warn_at_end(self, engine: Engine, stage: str) -> None:
+        """Log a warning for each servo that is active and off its target at the end of the stage."""
+        if self.next_sample < inf:
+            for sentence in off_target(engine, stage, self.samples):
+                logging.getLogger("granflow").warning("%s", sentence)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        return {"next_sample": self.next_sample, "samples": self.samples}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restore the state of `state_dict`."""
+        self.next_sample, self.samples = saved["next_sample"], [list(sample) for sample in saved["samples"]]
+
+
+def off_target(engine: Engine, stage: str, samples: Sequence[Sequence[float]]) -> Iterator[str]:
+    """A sentence for each servo that is active in the last step and off its target force F.
+
+        |f - F| > tolerance  and  |<f> - F| > tolerance,     tolerance = max(0.05 |F|, 3 s / sqrt(n))
+
+    f: force at the end, <f> and s: mean and standard deviation of the last n samples. The second condition ignores
+    servos whose force fluctuates about the target, the first one those that reached it late in the stage.
+    """
+    present = engine.state.walls.present
+    forces, middle = controlled_forces(engine.state), np.array([engine.time - 0.5 * engine.time_step])
+    for index, motion in enumerate(engine.plan.controlled_motions):
+        running = is_running(engine.state.wall_motions[motion.wall][motion.motion], middle)[0]
+        if motion.kind != "servo" or not (running and present[motion.wall]):
+            continue
+        series = np.array([sample[index] for sample in samples] or [forces[index]])
+        scatter = float(series.std(ddof=1)) / np.sqrt(len(series)) if len(series) > 1 else 0.0
+        tolerance = max(FORCE_TOLERANCE * abs(motion.force), STANDARD_ERRORS * scatter)
+        if min(abs(forces[index] - motion.force), abs(series.mean() - motion.force)) > tolerance:
+            area = area_of(engine.plan.walls[motion.wall].shape)
+            yield _sentence(motion, stage, engine.time, float(forces[index]), not series.any(), area)
+
+
+def _sentence(
+    motion: ControlledMotion, stage: str, time: float, force: float, is_untouched: bool, area: float | None
+) -> str:
+    """The warning; `force` [N]: at the end; `is_untouched`: no force in all samples; `area` [m2]: of the wall."""
+    reached, target = f"{force:.3g} N", f"{motion.force:.3g} N"
+    if area:
+        reached, target = (
+            f"{text} ({value / area:.3g} Pa)" for text, value in ((reached, force), (target, motion.force))
+        )
+    is_away = is_untouched and force == 0.0
+    state = "does not touch the particles" if is_away else "is off its target"
+    velocity, limit = motion.approach(motion.force - force)
+    remedy = "more time or a larger velocity_max"
+    if limit != "velocity_max":
+        remedy = "more time, a larger gain or a higher target force" if is_away else "more time or a larger gain"
+    return (
+        f"walls.{motion.name}.motion ({motion.source}): at the end of stage {stage} ({time:.6g} s), the servo {state}: "
+        f"{reached} instead of {target}. It moves at {velocity:.3g} m/s, {limit}. Give it {remedy}"
+        + (", start it closer to the bed, or approach by a translation." if is_away else ".")
+    )
+
+
+ROUNDING = 1e-9
+"""Relative tolerance for the rounding of times."""
+
+
+@dataclass
+class StageConditions:
+    """Progress of the conditions of the current stage.
+
+    since:     time [s] of the first row from which each condition is satisfied in all rows; infinite if it is not
+    last_row:  time [s] of the last row, or of the start of the stage
+    met:       index of the condition that ends the stage, None while it continues
+    values:    last value of the quantity of each condition; NaN before the first row
+    """
+
+    since: list[float] = field(default_factory=list)
+    last_row: float = 0.0
+    met: int | None = None
+    values: list[float] = field(default_factory=list)
+
+    def begin(self, stage: PlannedStage, time: float) -> None:
+        """Begin a stage at `time` [s]."""
+        self.since, self.values = [inf] * len(stage.until), [float("nan")] * len(stage.until)
+        self.last_row, self.met = time, None
+
+    def add_row(self, stage: PlannedStage, began: float, row: Row) -> None:
+        """Evaluate the conditions with a row of the time series; `began` [s]: start of the stage.
+
+        A row whose predecessor is before `began` contains means over a part of the previous stage and does not count.
+        Raises GranflowError for a quantity that the row lacks.
+        """
+        if self.met is not None or not stage.until or row.time_before < began * (1.0 - ROUNDING):
+            return
+        time = self.last_row = row.time
+        for index, condition in enumerate(stage.until):
+            if condition.quantity not in row.numbers:
+                raise GranflowError(
+                    f"{stage.source}: stages.{stage.name}.until: there is no column {condition.quantity}; the columns "
+                    f"are {', '.join(row.numbers)}."
+                )
+            value = row.numbers[condition.quantity]
+            holds = condition.is_met(value) and time >= (began + stage.shortest) * (1.0 - ROUNDING)
+            self.values[index] = value
+            self.since[index] = min(self.since[index], time) if holds else inf
+            if holds and time - self.since[index] >= condition.hold * (1.0 - ROUNDING) and self.met is None:
+                self.met = index
+
+    def log_end(self, stage: PlannedStage, time: float) -> None:
+        """Log why the stage ends at `time` [s]; a warning if none of its conditions is satisfied."""
+        if self.met is not None:
+            sentence = (
+                f"stage {stage.name} ends at {time:.6g} s: {_statement(stage.until[self.met], self.values[self.met])}"
+            )
+            logging.getLogger("granflow").info("%s", sentence)
+        elif stage.until:
+            values = zip(stage.until, self.values, strict=True)
+            logging.getLogger("granflow").warning(
+                "stage %s (%s): its longest duration of %.6g s is over, but %s.",
+                stage.name, stage.source, stage.longest, "; ".join(_statement(*each) for each in values),
+            )  # fmt: skip
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        return {name: getattr(self, name) for name in STATE}
+
+    def load_state_dict(self, saved: Mapping[str, Any], stage: PlannedStage, same_course: bool) -> None:
+        """Restore the state; after a change of events or conditions they begin again."""
+        for name in STATE:
+            setattr(self, name, saved[name])
+        self.since, self.values = list(self.since), list(self.values)
+        if not same_course:
+            self.begin(stage, self.last_row)
+
+
+STATE = ("since", "last_row", "met", "values")
+"""Attributes that checkpoints contain."""
+
+
+def _statement(condition: StageCondition, value: float) -> str:
+    unit = f" {unit_of(condition.quantity)}".rstrip()
+    bounds = {"above": condition.above, "below": condition.below}
+    bound = next(f"{word} {limit:.6g}{unit}" for word, limit in bounds.items() if limit is not None)
+    held = f" for {condition.hold:g} s" if condition.hold else ""
+    return f"{condition.quantity} is {value:.6g}{unit}, {'' if condition.is_met(value) else 'not '}{bound}{held}"
+
+
+# Progress of a run through its stages.
+
+
+@dataclass
+class StageProgress:
+    """Started and completed stages, and pending events of the current stage.
+
+    stage:        name of the current stage
+    changes:      future times [s] at which walls appear or vanish
+    stage_times:  start and end [s] of the stages that have begun; the end is infinite during a stage
+    next_check:   time [s] of the next check for rest; infinite without checks
+    target:       time [s] to which the current steps lead, None between targets
+    arrived:      whether insertion and wall changes at the target are done, so that only observers are pending
+    servos:       force samples of the servos, checked at the end of the stage
+    conditions:   conditions that end the stage
+    """
+
+    stage: str
+    changes: tuple[float, ...]
+    stage_times: dict[str, tuple[float, float]] = field(default_factory=dict)
+    next_check: float = inf
+    target: float | None = None
+    arrived: bool = False
+    servos: ServoForces = field(default_factory=ServoForces)
+    conditions: StageConditions = field(default_factory=StageConditions)
+
+    @classmethod
+    def of(cls, plan: Plan) -> "StageProgress":
+        """Return the progress before the first step."""
+        return cls(plan.stages[0].name, wall_change_times(plan.walls))
+
+    def begin(self, stage: str, time: float, check_interval: float) -> None:
+        """Begin a stage at `time` [s], with a first check for rest after `check_interval` [s]."""
+        self.stage, self.next_check = stage, time + check_interval
+        self.stage_times[stage] = (time, inf)
+
+    def end(self, time: float) -> None:
+        """End the current stage at `time` [s]."""
+        self.stage_times[self.stage] = (self.stage_times[self.stage][0], time)
+
+    def has_ended(self, stage: str) -> bool:
+        """Return whether the stage has ended."""
+        return self.stage_times.get(stage, (0.0, inf))[1] < inf
+
+    def set_target(self, time: float) -> None:
+        """Set the target time [s] of the next steps."""
+        self.target, self.arrived = time, False
+
+    def remove_past_changes(self, engine: Engine) -> bool:
+        """Remove wall changes that are due; return whether any were removed."""
+        remaining = tuple(change for change in self.changes if not engine.reached(change))
+        changed = len(remaining) < len(self.changes)
+        self.changes = remaining
+        return changed
+
+    def set_walls(self, engine: Engine) -> None:
+        """Copy presence and motions of the walls to the device.
+
+        Presence is that of the middle of the next step, so that a change due at the present time is included.
+        """
+        walls, middle = engine.plan.walls, engine.time + 0.5 * engine.time_step
+        presence = [wall.is_present(self.stage, middle) for wall in walls]
+        engine.set_walls(presence, wall_motions([wall.motions for wall in walls], self.stage_times))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        return {
+            "stage": self.stage,
+            "stage_times": {name: list(times) for name, times in self.stage_times.items()},
+            "next_check": self.next_check,
+            "target": self.target,
+            "arrived": self.arrived,
+            "changes": list(self.changes),
+            "servos": self.servos.state_dict(),
+            "conditions": self.conditions.state_dict(),
+        }
+
+    def load_state_dict(
+        self, saved: dict[str, Any], stages: Sequence[PlannedStage], reopened: bool, same_course: bool
+    ) -> None:
+        """Restore the state.
+
+        stages:      of the plan
+        reopened:    the last stage continues even if it had ended
+        same_course: False if events or conditions changed; the target is then determined again
+        """
+        self.stage, self.next_check, self.changes = saved["stage"], saved["next_check"], tuple(saved["changes"])
+        self.servos.load_state_dict(saved["servos"])
+        present = next(stage for stage in stages if stage.name == self.stage)
+        self.conditions.load_state_dict(saved["conditions"], present, same_course)
+        self.stage_times = {name: (start, end) for name, (start, end) in saved["stage_times"].items()}
+        if reopened:
+            self.stage_times[self.stage] = (self.stage_times[self.stage][0], inf)
+        if same_course:
+            self.target, self.arrived = saved["target"], saved["arrived"]

@@ -1,0 +1,140 @@
+"""Schema of the block `domain`: the simulated box and its boundaries."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from granflow.geometry.periodic_box import AXES, ImageMotion, PeriodicBox
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.shapes import Box
+from granflow.scene.model import ListOf, Model, choose_by_first_key
+from granflow.units import Fault, Number
+
+Axis = Literal["x", "y", "z"]
+ShearRate = Annotated[float, Number("rate", noun="a shear rate")]
+"""Shear rate [1/s] of either sign."""
+
+
+class LeesEdwards(Model):
+    """Lees-Edwards boundary conditions: uniform shear without walls; the periodic images move along the flow axis.
+
+        velocity of the image above = rate * width of the box along the gradient axis      [m/s]
+
+    Walls, flow meters and insertion during the run are not supported.
+
+    >>> gf.LeesEdwards(flow="x", gradient="z", rate="10 1/s")
+    LeesEdwards(flow='x', gradient='z', rate=10.0)
+    """
+
+    flow: Axis = Field(description="flow axis, the direction of the velocity")
+    gradient: Axis = Field(description="gradient axis, along which the velocity changes")
+    rate: ShearRate = Field(description="shear rate, change of velocity per length [1/s]; may be negative")
+    start: q.Time = Field(0.0, description="time at which the shear begins [s]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the flow and gradient axes differ."""
+        if self.flow == self.gradient:
+            yield Fault(("gradient",), "flow is the same axis; give another axis")
+
+
+class Domain(Box):
+    """The simulated box: particles outside are deleted, wrapped (periodic axes) or followed, or end the run.
+
+    Walls may extend beyond it.
+
+    >>> gf.Domain(min=[0, 0, 0], max=[0.1, 0.1, 0.1], periodic=["x", "y"], on_exit="delete").periodic
+    ('x', 'y')
+    """
+
+    periodic: Annotated[tuple[Axis, ...], ListOf(one=True)] = Field(
+        (), description="axes with periodic boundary conditions, such as [x, y]"
+    )
+    lees_edwards: LeesEdwards | None = Field(
+        None, description="uniform shear with Lees-Edwards boundary conditions; both axes must be periodic"
+    )
+    on_exit: Literal["delete", "error", "expand"] = Field(
+        description="action if the center of a particle leaves the domain: delete (and count), error (abort the run), "
+        "or expand (enlarge the domain)"
+    )
+
+    def periodic_box(self) -> PeriodicBox:
+        """The periodic box of the domain at the start."""
+        low, width, given = np.array(self.min), np.subtract(self.max, self.min), self.lees_edwards
+        image_motion = None
+        if given is not None:
+            flow, gradient = AXES.index(given.flow), AXES.index(given.gradient)
+            image_motion = ImageMotion(flow, gradient, given.rate * float(width[gradient]), given.start)
+        return PeriodicBox(tuple(AXES.index(axis) for axis in self.periodic), low, width, image_motion)
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the volume is positive, and the periodic axes are unique and include the shear axes."""
+        yield from super().faults()
+        for index, axis in enumerate(self.periodic):
+            if axis in self.periodic[:index]:
+                yield Fault(("periodic", index), "this axis is a duplicate; give each axis once")
+        for key in ("flow", "gradient") if self.lees_edwards else ():
+            if getattr(self.lees_edwards, key) not in self.periodic:
+                reason = "domain.periodic does not contain this axis; both axes must be periodic"
+                yield Fault(("lees_edwards", key), reason)
+
+
+# Schema of the block `outlets`: regions in which particles are deleted and counted.
+
+
+class HalfSpaceGiven(Model):
+    """All points on one side of a plane."""
+
+    point: q.Point = Field(description="a point on the plane [m]")
+    normal: q.Direction = Field(description="normal of the plane, toward the half space; its length does not matter")
+
+
+class DiscGiven(Model):
+    """The semi-infinite cylinder on the downstream side of a disc."""
+
+    center: q.Point = Field(description="center of the disc [m]")
+    normal: q.Direction = Field(
+        description="normal of the disc, in the direction of the particle flow; its length does not matter"
+    )
+    radius: q.PositiveLength = Field(description="radius of the disc [m]")
+
+
+class BoxOutlet(Model):
+    """Particles whose center is in a box are deleted at the next rebuild of the neighbor list.
+
+    >>> gf.BoxOutlet(box=gf.Box(min=[0, 0, -0.2], max=[0.1, 0.1, -0.1])).box.min
+    (0.0, 0.0, -0.2)
+    """
+
+    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
+
+
+class HalfSpaceOutlet(Model):
+    """Particles whose center is in a half space are deleted at the next rebuild of the neighbor list.
+
+    >>> gf.HalfSpaceOutlet(half_space={"point": [0, 0, -0.1], "normal": [0, 0, -1]}).half_space.point
+    (0.0, 0.0, -0.1)
+    """
+
+    half_space: HalfSpaceGiven = Field(description="a half space, {point: [..], normal: [..]}")
+
+
+class DiscOutlet(Model):
+    """Particles whose center is in the semi-infinite cylinder downstream of a disc are deleted at the next rebuild.
+
+    >>> gf.DiscOutlet(disc={"center": [0, 0, 0], "normal": [0, 0, -1], "radius": "2 cm"}).disc.radius
+    0.02
+    """
+
+    disc: DiscGiven = Field(description="a disc, {center: [..], normal: [..], radius: ..}")
+
+
+Outlet = Annotated[
+    BoxOutlet | HalfSpaceOutlet | DiscOutlet,
+    choose_by_first_key(
+        "it must be {box: {min: [..], max: [..]}}, {half_space: {point: [..], normal: [..]}} or "
+        "{disc: {center: [..], normal: [..], radius: ..}}"
+    ),
+]
+"""An outlet of any shape: box, half space or disc, selected by its key."""

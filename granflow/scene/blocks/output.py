@@ -1,0 +1,358 @@
+"""Schema of the block `output`: selection and intervals of the results."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from granflow.fields import FIELD_QUANTITIES
+from granflow.geometry.shape import are_perpendicular
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.shapes import Box
+from granflow.scene.model import Flag, FlagOrNames, ListOf, Model, Name, Names, Text, choose_by_key, suggestion_or_list
+from granflow.units import Fault, Number, redundant, whole
+
+# Schema of the quantities computed from particles and contacts during a run: fields on a grid, and metrics.
+
+Cutoff = Annotated[float, Number(noun="a cut-off", at_least=1, at_most=10)]
+"""Cutoff of the kernel, in kernel widths: 1 to 10."""
+
+
+class GridSpec(Model):
+    """A box divided into cells, given by their edge length or their number.
+
+    Along periodic axes of the domain, the box must cover the whole domain.
+    """
+
+    region: Box | None = Field(None, description="box that is divided into cells; default: the domain")
+    cell: q.PositiveLength | None = Field(
+        None, description="edge length of a cell [m], adjusted to fit the box; or give cells"
+    )
+    cells: q.Counts | None = Field(None, description="number of cells along x, y and z; or give cell")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of edge length and number of cells is given."""
+        if (self.cell is None) == (self.cells is None):
+            given = "has neither cell nor cells" if self.cell is None else "has both cell and cells"
+            yield whole((), f"{given}; give the edge length of a cell, or the number along x, y and z")
+
+    def cell_counts(self, domain: Box) -> tuple[int, int, int]:
+        """Number of cells along x, y and z, each at least 1; without a region the grid covers `domain`.
+
+        A given edge length [m] is adjusted such that a whole number of cells fits into the box.
+        """
+        if self.cells is not None:
+            return self.cells
+        assert self.cell is not None
+        box, edge = self.region or domain, self.cell
+        x, y, z = (max(round((high - low) / edge), 1) for low, high in zip(box.min, box.max, strict=True))
+        return x, y, z
+
+
+class FieldGrid(GridSpec):
+    """Coarse-grained fields on a grid (Gaussian kernel), written as VTU files.
+
+    Fields of contacts (stress, pressure, fabric) require the contacts of each frame.
+    Formulas: documentation, Coarse graining and metrics.
+
+    >>> gf.FieldGrid(cell="5 mm", quantities=["density", "velocity"]).quantities
+    ('density', 'velocity')
+    """
+
+    width: q.AutoLength = Field("auto", description="kernel width (standard deviation) [m]; auto: the largest radius")
+    cutoff: Cutoff = Field(3.0, description="cutoff of the kernel along each axis, in kernel widths")
+    interval: q.PositiveTime | None = Field(None, description="time between frames [s]; default: output.interval")
+    stages: Names | None = Field(None, description="stages in which the fields are written; default: all")
+    quantities: Annotated[tuple[Text, ...], ListOf(some="[density, velocity]")] = Field(
+        tuple(FIELD_QUANTITIES), description="fields that are written; default: all"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for each quantity that is not a known field."""
+        yield from super().faults()
+        for index, name in enumerate(self.quantities):
+            if name not in FIELD_QUANTITIES:
+                remedy = suggestion_or_list(name, FIELD_QUANTITIES, "fields")
+                yield Fault(("quantities", index), f"there is no such field. {remedy}")
+
+
+class TwoComponentGrid(GridSpec):
+    """Grid for the shares of two components: particles of some groups, materials or sizes, and all others."""
+
+    groups: Names | None = Field(None, description="groups whose particles form the first component")
+    materials: Names | None = Field(None, description="materials whose particles form the first component")
+    smaller_than: q.UnscaledLength | None = Field(
+        None, description="diameter below which particles belong to the first component [m]"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one definition of the first component is given."""
+        yield from super().faults()
+        given = [key for key in ("groups", "materials", "smaller_than") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = f"has {' and '.join(given)}" if given else "does not define the first component"
+            yield whole((), f"{found}; give exactly one of groups, materials and smaller_than")
+
+
+class LaceyMetric(TwoComponentGrid):
+    """Lacey mixing index of the particles of some groups, materials or sizes among all particles, by number.
+
+    0: separated, 1: randomly mixed. (P. M. C. Lacey, J. Appl. Chem. 4 (1954) 257.) For components of different sizes,
+    `kind: segregation` weights particles by their volume.
+
+    >>> gf.LaceyMetric(cell="1 cm", groups=["red"]).cell
+    0.01
+    """
+
+    kind: Literal["lacey"] = Field("lacey", description="kind of metric")
+    at_least: q.Count = Field(10, description="smallest number of particles in a cell that is evaluated")
+
+
+class SegregationMetric(TwoComponentGrid):
+    """Intensity of segregation of two components by volume, and its value for a random mixture.
+
+    1: each cell contains one component only, 0: the same share in all cells. (P. V. Danckwerts, Appl. Sci. Res. A 3
+    (1952) 279.)
+
+    >>> gf.SegregationMetric(cell="1 cm", smaller_than="2 mm").smaller_than
+    0.002
+    """
+
+    kind: Literal["segregation"] = Field("segregation", description="kind of metric")
+
+
+class ReposeMetric(Model):
+    """Angle of repose [rad] of the heap; particles with fewer than two contacts are excluded.
+
+    The angle is that of a line or plane fitted to the tops of the highest particles.
+
+    >>> gf.ReposeMetric(surface="cone")
+    ReposeMetric(surface='cone')
+    """
+
+    kind: Literal["repose"] = Field("repose", description="kind of metric")
+    surface: Literal["cone", "plane"] = Field(
+        description="cone: a heap around a vertical axis; plane: one side of a wedge, or the bed in a drum"
+    )
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+    axis: q.Point | None = Field(
+        None, description="with surface: cone, a point on its axis [m]; default: mean position of the particles"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for an axis with a plane: it applies to a cone only."""
+        if self.surface == "plane" and self.axis is not None:
+            yield Fault(("axis",), "it applies only to surface: cone; remove it")
+
+
+class FabricMetric(Model):
+    """Fabric tensor of the contacts between particles: mean of n n, with n the unit vector between the centers.
+
+    (M. Satake, in: Deformation and Failure of Granular Materials, 1982, 63.)
+
+    >>> gf.FabricMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).kind
+    'fabric'
+    """
+
+    kind: Literal["fabric"] = Field("fabric", description="kind of metric")
+    region: Box | None = Field(None, description="box whose contacts are evaluated; default: all contacts")
+
+
+class CoordinationMetric(Model):
+    """Mean number of contacts with particles, with and without rattlers (fewer than two contacts), and with walls.
+
+    (C. Thornton, Geotechnique 50 (2000) 43.)
+
+    >>> gf.CoordinationMetric()
+    CoordinationMetric()
+    """
+
+    kind: Literal["coordination"] = Field("coordination", description="kind of metric")
+    region: Box | None = Field(None, description="box whose particles are evaluated; default: all particles")
+
+
+class ContentMetric(Model):
+    """Number, mass [kg] and volume [m3] of the mobile particles with their center in a box.
+
+    >>> gf.ContentMetric(region=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1])).region.max
+    (0.1, 0.1, 0.1)
+    """
+
+    kind: Literal["content"] = Field("content", description="kind of metric")
+    region: Box = Field(description="box whose particles are counted")
+
+
+class CenterOfMassMetric(Model):
+    """Center of mass [m] of the mobile particles of all or of some groups; in periodic boxes, of wrapped positions.
+
+    >>> gf.CenterOfMassMetric(groups=["red"])
+    CenterOfMassMetric(groups=('red',))
+    """
+
+    kind: Literal["center_of_mass"] = Field("center_of_mass", description="kind of metric")
+    groups: Names | None = Field(None, description="groups whose particles are evaluated; default: all")
+
+
+class SlidingMetric(Model):
+    """Share of the contacts whose friction force is at the Coulomb limit.
+
+    >>> gf.SlidingMetric(walls=["floor"])
+    SlidingMetric(walls=('floor',))
+    """
+
+    kind: Literal["sliding"] = Field("sliding", description="kind of metric")
+    walls: Names | None = Field(
+        None, description="walls whose contacts are evaluated; default: the contacts between particles"
+    )
+
+
+class ProbeMetric(Model):
+    """Position [m], velocity [m/s] and angular velocity [rad/s] of one particle.
+
+    NaN before its insertion and after its deletion; in periodic boxes, the wrapped position.
+    """
+
+    kind: Literal["probe"] = Field(description="kind of metric")
+    id: q.ParticleId = Field(description="id of the particle: 0, 1, ... in the order of insertion")
+
+
+AnyMetric = Annotated[
+    LaceyMetric
+    | SegregationMetric
+    | ReposeMetric
+    | FabricMetric
+    | CoordinationMetric
+    | ContentMetric
+    | CenterOfMassMetric
+    | SlidingMetric
+    | ProbeMetric,
+    choose_by_key("kind"),
+]
+"""Any kind of metric; the key `kind` selects it."""
+METRIC_QUANTITIES_BY_KIND = {
+    "content": ("content_count", "content_mass", "content_volume"),
+    "lacey": ("lacey_index",),
+    "segregation": ("segregation_intensity", "segregation_intensity_random"),
+    "repose": ("angle_of_repose", "angle_of_repose_error"),
+    "fabric": ("fabric_anisotropy", "fabric_xx", "fabric_yy", "fabric_zz"),
+    "coordination": (
+        "coordination_number",
+        "mechanical_coordination_number",
+        "wall_coordination_number",
+        "rattler_share",
+    ),
+    "center_of_mass": ("center_of_mass_x", "center_of_mass_y", "center_of_mass_z"),
+    "sliding": ("sliding_share",),
+    "probe": tuple(
+        f"{vector}_{axis}" for vector in ("position", "velocity", "angular_velocity") for axis in ("x", "y", "z")
+    ),
+}
+"""Quantities of each kind of metric; each also has a time average, NAME_mean."""
+
+MOST_CLASSES = 200
+"""Largest number of classes of collision energies."""
+
+
+class FlowMeter(Model):
+    """A flow meter: the mass through a plane, a disc or a rectangle, including particles deleted there.
+
+    Net values: backward crossings count negative. Particles are tracked between the rows of timeseries.csv.
+
+    >>> gf.FlowMeter(point=[0, 0, 0], normal=[0, 0, -1], radius="2 cm").radius
+    0.02
+    """
+
+    point: q.Point = Field(description="a point on the plane [m]: the center of the disc, or a corner of the rectangle")
+    normal: q.Direction = Field(description="direction of positive flow; its length does not matter")
+    radius: q.PositiveLength | None = Field(None, description="radius of the disc [m]; default: the whole plane")
+    sides: q.Sides | None = Field(
+        None, description="the two edge vectors of the rectangle [m], perpendicular to each other and to the normal"
+    )
+    group_by: Literal["material", "group"] | None = Field(
+        None, description="additional separate counts for each material or group"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the area is a disc or a rectangle, with perpendicular sides and normal."""
+        if self.sides is None:
+            return
+        if self.radius is not None:
+            yield redundant("sides", "radius")
+        if not all(any(side) for side in self.sides):
+            yield Fault(("sides",), "a side must not be the zero vector")
+        elif not are_perpendicular(*self.sides, self.normal):
+            yield Fault(("sides",), "the two sides must be perpendicular to each other and to the normal")
+
+
+class Checkpoints(Model):
+    """Interval and number of checkpoints for `granflow resume`; a run always writes one at its end.
+
+    A checkpoint is due at simulated or wall-clock times, whichever is first.
+
+    >>> gf.Checkpoints(wall_clock="5 min").wall_clock
+    300.0
+    """
+
+    wall_clock: q.PositiveTime = Field(600.0, description="wall-clock time between checkpoints [s]")
+    interval: q.PositiveTime | None = Field(
+        None, description="simulated time between additional checkpoints [s]; default: none"
+    )
+    keep: q.Count = Field(2, description="number of checkpoints that are kept, the newest ones")
+
+
+class CollisionEnergies(Model):
+    """Classes of impact energies, equally spaced on a logarithmic scale, in which collisions are counted.
+
+    The impact energy is m v^2 / 2 with the effective mass of the pair and the normal approach velocity.
+
+    >>> gf.CollisionEnergies(min="1 nJ", max="1 mJ", classes=60).classes
+    60
+    """
+
+    min: q.Energy = Field(description="lower edge of the first class [J]; smaller energies have a class of their own")
+    max: q.Energy = Field(description="upper edge of the last class [J]; larger energies have a class of their own")
+    classes: q.Count = Field(30, description="number of classes between min and max, at most 200")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless min is below max, and for too many classes."""
+        if self.min >= self.max:
+            yield Fault(("max",), f"it must be above min, {self.min:g} J")
+        if self.classes > MOST_CLASSES:
+            yield Fault(("classes",), f"at most {MOST_CLASSES} are possible")
+
+
+class Output(Model):
+    """Selection and intervals of the output.
+
+    Times are simulated times [s]; the energy budget and wall forces cost time in each step.
+
+    >>> gf.Output(interval="5 ms", contacts=True).timeseries_interval
+    0.005
+    """
+
+    interval: q.PositiveTime = Field(description="time between VTU frames [s]")
+    timeseries_interval: q.PositiveTime = Field(
+        default_factory=lambda given: given.get("interval"),  # None if the interval is invalid
+        description="time between rows of timeseries.csv [s]; default: interval",
+    )
+    particles: Flag = Field(True, description="write particles_*.vtu")
+    frames_per_rank: Flag = Field(
+        False, description="on MPI ranks, write one particle file per rank and particles_*.pvtu, which lists them"
+    )
+    compression: Literal["zlib", "none"] = Field(
+        "zlib", description="of VTU files: none is written 7 times as fast; the files are 1.8 times as large"
+    )
+    contacts: Flag = Field(False, description="write contacts_*.vtu")
+    walls: Flag = Field(True, description="write walls_*.vtu")
+    energy_budget: Flag = Field(False, description="compute the energy budget")
+    wall_forces: FlagOrNames = Field(
+        False,
+        description="measure force, torque and pressure of the particles on all walls (true) or on those in a list",
+    )
+    collision_energies: CollisionEnergies | None = Field(
+        None, description="count collisions by impact energy, for collision_energies.csv; default: no counts"
+    )
+    flow_meters: dict[Name, FlowMeter] = Field({}, description="flow meters by name")
+    fields: dict[Name, FieldGrid] = Field({}, description="fields on grids by name, written as fields_NAME_*.vtu")
+    metrics: dict[Name, AnyMetric] = Field({}, description="metrics of the bed by name, for timeseries.csv and expect")
+    checkpoint: Checkpoints = Field(Checkpoints.model_construct(), description="interval and number of checkpoints")

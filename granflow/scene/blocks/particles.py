@@ -1,0 +1,634 @@
+"""Schema of the block `particles`: number, sizes, material and insertion of particle groups."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, Tag, model_validator
+
+from granflow.geometry.clump import ClumpShape, clump_shape
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.shapes import Box, CylinderShape, Rectangular
+from granflow.scene.blocks.walls import RotationStep
+from granflow.scene.model import FileName, Flag, ListOf, Model, Text, choose_by, choose_by_first_key, choose_by_key
+from granflow.units import Fault, KeyPath, Number, missing, redundant, whole, whole_error
+
+# Schema of the key `clump` of particle groups: rigid bodies of spheres, and their orientation.
+
+MOST_SPHERES = 100
+"""Largest number of spheres of a clump: the integration of each sphere adds up the forces on all of them."""
+
+
+class ClumpSphere(Model):
+    """One sphere of a clump.
+
+    >>> gf.ClumpSphere(position=[0, 0, "1 mm"], radius="2 mm").radius
+    0.002
+    """
+
+    position: q.UnscaledPoint = Field(description="center [m]; the origin of all centers of a clump is arbitrary")
+    radius: q.UnscaledLength = Field(description="radius [m]")
+
+
+def _orientation_tag(value: Any) -> str | None:
+    if isinstance(value, list | tuple):
+        return "<list>"
+    return "<random>" if value == "random" else "<one>" if isinstance(value, dict | RotationStep) else None
+
+
+Orientation = Annotated[
+    Annotated[Literal["random"], Tag("<random>")]
+    | Annotated[RotationStep, Tag("<one>")]
+    | Annotated[tuple[RotationStep, ...], Tag("<list>")],
+    choose_by(_orientation_tag, "it must be random, {axis: [..], angle: ..}, or a list of these rotations"),
+]
+"""Random orientations, one rotation for all clumps, or one for each."""
+
+
+class Clump(Model):
+    """A rigid body of spheres, which may overlap; its density is that of the material, and overlaps count once.
+
+    >>> spheres = [gf.ClumpSphere(position=[x, 0, 0], radius="2 mm") for x in (0, 0.003)]
+    >>> gf.Clump(spheres=spheres, orientation="random").orientation
+    'random'
+    """
+
+    spheres: Annotated[
+        tuple[ClumpSphere, ...], ListOf(some="[{position: [0, 0, 0], radius: 1 mm}, {position: [1.5 mm, 0, 0], ...}]")
+    ] = Field(description="centers and radii of the spheres, {position: [..], radius: ..}, at most 100")
+    orientation: Orientation | None = Field(
+        None,
+        description="orientation of new clumps: {axis: [..], angle: ..} turns the given positions; random; with "
+        "insert: {kind: positions}, also a list; default: as given",
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault for more than MOST_SPHERES spheres."""
+        if len(self.spheres) > MOST_SPHERES:
+            yield whole(("spheres",), f"has {len(self.spheres)} spheres, but the limit is {MOST_SPHERES}")
+
+    @property
+    def shape(self) -> ClumpShape:
+        """Volume, moments of inertia and spheres of the clump."""
+        return clump_shape(tuple(each.position for each in self.spheres), tuple(each.radius for each in self.spheres))
+
+    @property
+    def outer_diameter(self) -> float:
+        """Diameter [m] of the smallest sphere around the center of mass that contains the clump."""
+        return 2.0 * self.shape.outer_radius
+
+
+# Schema of the key `insert` of particle groups: regions, faces, and the kinds of insertion.
+
+Jitter = Annotated[float, Number(noun="a jitter", at_least=0, at_most=1)]
+"""Random displacement over the free gap: 0 to 1."""
+
+
+class BoxRegion(Model):
+    """An insertion region: a box. Particles lie entirely inside.
+
+    >>> gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=["10 cm", 0.1, 0.1])).box.max
+    (0.1, 0.1, 0.1)
+    """
+
+    box: Box = Field(description="a box along the coordinate axes, {min: [..], max: [..]}")
+
+
+class CylinderRegion(Model):
+    """An insertion region: a cylinder. Particles lie entirely inside.
+
+    >>> gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"}).cylinder.radius
+    0.05
+    """
+
+    cylinder: CylinderShape = Field(description="a cylinder, {from: [..], to: [..], radius: ..}")
+
+
+Region = Annotated[
+    BoxRegion | CylinderRegion,
+    choose_by_first_key("it must be {box: {min: [..], max: [..]}} or {cylinder: {from: [..], to: [..], radius: ..}}"),
+]
+"""A box or a cylinder, in which particles lie entirely inside."""
+
+
+class LatticeInsertion(Model):
+    """Particles on a regular lattice in a region, in layers from the bottom, with the widest spacing that fits.
+
+    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0], max=[0.1, 0.1, 0.1]))
+    >>> gf.LatticeInsertion(region=region, jitter=0.2).jitter
+    0.2
+    """
+
+    kind: Literal["lattice"] = Field("lattice", description="kind of insertion")
+    region: Region = Field(description="region to fill: a box or a cylinder")
+    jitter: Jitter = Field(0.0, description="random displacement, as a fraction of the free gap")
+
+
+class PackInsertion(Model):
+    """Particles in a random packing without overlap in a region; solid fraction up to about 0.55.
+
+    >>> region = gf.CylinderRegion(cylinder={"from": [0, 0, 0], "to": [0, 0, 0.1], "radius": "5 cm"})
+    >>> gf.PackInsertion(region=region).region.cylinder.radius
+    0.05
+    """
+
+    kind: Literal["pack"] = Field("pack", description="kind of insertion")
+    region: Region = Field(description="region to fill: a box or a cylinder")
+
+
+class TimedInsertion(Model):
+    """Insertion during the run at a constant number or mass per second.
+
+    It ends when the count or mass of the group is inserted, or at `end`. Sizes are in a fixed order, so that each size
+    class has its fraction at any time.
+    """
+
+    rate: q.Rate | None = Field(None, description="insertion rate, particles per second [1/s]")
+    mass_flow: q.MassFlow | None = Field(None, description="insertion rate, mass per second [kg/s]; instead of rate")
+    start: q.Time = Field(0.0, description="time of the first particle [s]")
+    end: q.PositiveTime | None = Field(
+        None, description="end of the insertion [s]; default: when all particles are inserted"
+    )
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of rate and mass_flow is given, and the end is after the start."""
+        if self.rate is None and self.mass_flow is None:
+            yield whole((), "has no insertion rate: give rate in 1/s, or mass_flow in kg/s")
+        if self.rate is not None and self.mass_flow is not None:
+            yield redundant("mass_flow", "rate")
+        if self.end is not None and self.end <= self.start:
+            yield Fault(("end",), f"the insertion must end after its start at {self.start:g} s")
+
+
+class RainInsertion(TimedInsertion):
+    """Insertion at random free positions in a region, until the count, the mass or the end time is reached.
+
+    Particles without a free position are queued and inserted first in the next batch. Walls are not considered.
+
+    >>> region = gf.BoxRegion(box=gf.Box(min=[0, 0, 0.1], max=[0.1, 0.1, 0.2]))
+    >>> gf.RainInsertion(region=region, mass_flow="2 t/h", end="1 s").end
+    1.0
+    """
+
+    kind: Literal["rain"] = Field("rain", description="kind of insertion")
+    region: Region = Field(description="region of the insertion: a box or a cylinder")
+
+
+class RectangleOutline(Rectangular):
+    """A flat rectangle."""
+
+    sides: q.Sides = Field(
+        description="the two edge vectors from that corner, perpendicular [m]; particles enter along first x second"
+    )
+
+
+class DiscOutline(Model):
+    """A flat disc."""
+
+    center: q.Point = Field(description="center [m]")
+    normal: q.Direction = Field(description="direction in which particles enter; its length does not matter")
+    radius: q.PositiveLength = Field(description="radius [m]")
+
+
+class RectangleFace(Model):
+    """A rectangle through which particles enter.
+
+    >>> gf.RectangleFace(rectangle={"corner": [0, 0, 0], "sides": [[0.1, 0, 0], [0, 0.1, 0]]}).rectangle.corner
+    (0.0, 0.0, 0.0)
+    """
+
+    rectangle: RectangleOutline = Field(description="{corner: [..], sides: [[..], [..]]}")
+
+
+class DiscFace(Model):
+    """A disc through which particles enter.
+
+    >>> gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"}).disc.radius
+    0.03
+    """
+
+    disc: DiscOutline = Field(description="{center: [..], normal: [..], radius: ..}")
+
+
+Face = Annotated[
+    RectangleFace | DiscFace,
+    choose_by_first_key(
+        "it must be {rectangle: {corner: [..], sides: [..]}} or {disc: {center: [..], normal: [..], radius: ..}}"
+    ),
+]
+"""A rectangle or a disc through which particles enter along its normal."""
+
+
+class InletInsertion(TimedInsertion):
+    """Insertion through a face: particles appear directly downstream of it with the velocity of the group.
+
+    The positions are random; particles without a free position are queued.
+
+    >>> face = gf.DiscFace(disc={"center": [0, 0, 0.2], "normal": [0, 0, -1], "radius": "3 cm"})
+    >>> gf.InletInsertion(face=face, rate="800 1/s").rate
+    800.0
+    """
+
+    kind: Literal["inlet"] = Field("inlet", description="kind of insertion")
+    face: Face = Field(description="face of the inlet: a rectangle or a disc")
+
+
+class FileSummary(Model):
+    """Summary of the particles in a file; granflow fills it in when it reads the file."""
+
+    count: q.ParticleCount = Field(description="number of particles read from the file")
+    diameter_min: q.UnscaledLength = Field(description="smallest diameter [m]")
+    diameter_max: q.UnscaledLength = Field(description="largest diameter [m]")
+    speed_max: q.AnySpeed = Field(description="largest speed [m/s]")
+    angular_velocity_max: q.AngularVelocity = Field(description="largest angular velocity [rad/s]")
+    overlap_max: q.Share = Field(description="largest overlap of two particles over the smaller radius")
+    overlap_rows: str = Field("", description="lines or points of the file with the largest overlap")
+
+
+class FileInsertion(Model):
+    """Particles from a table: CSV, or a VTU frame.
+
+    Required columns: x, y, z and r (or diameter); optional: velocity, angular velocity, material. With a material
+    column, the group gets the rows of its material.
+
+    >>> gf.FileInsertion(file="start.csv")
+    FileInsertion(file='start.csv')
+    """
+
+    kind: Literal["file"] = Field("file", description="kind of insertion")
+    file: FileName = Field(description="CSV, text or VTU file; path relative to the folder of the scene")
+    found: FileSummary | None = Field(None, description="summary of the file; granflow fills it in")
+
+
+class PositionsInsertion(Model):
+    """Particles at given positions.
+
+    >>> gf.PositionsInsertion(positions=[[0, 0, 0], ["1 cm", 0, 0]]).positions
+    ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0))
+    """
+
+    kind: Literal["positions"] = Field("positions", description="kind of insertion")
+    positions: Annotated[tuple[q.Point, ...], ListOf(some="[[0, 0, 0]]")] = Field(description="centers [m]")
+
+
+class PythonInsertion(Model):
+    """No particles from the scene: a Python program adds them, with `simulation.particles.add` or from arrays.
+
+    `count` of the group is the number of particles for which arrays and chunks are sized; more can be added.
+
+    >>> sizes = gf.UniformSizes(min="3 mm", max="4 mm")
+    >>> gf.Group(material="glass", count=5000, diameter=sizes, insert=gf.PythonInsertion()).insert.kind
+    'python'
+    """
+
+    kind: Literal["python"] = Field("python", description="kind of insertion")
+
+
+Insertion = Annotated[
+    LatticeInsertion
+    | PackInsertion
+    | RainInsertion
+    | InletInsertion
+    | PositionsInsertion
+    | FileInsertion
+    | PythonInsertion,
+    choose_by_key("kind"),
+]
+"""Any kind of insertion; the key `kind` selects it."""
+
+
+# Schema of the key `diameter` of particle groups: one diameter, one per particle, or a distribution.
+
+_ROUNDING = 1e-12  # tolerance of the sum of fractions
+
+
+class TruncatedSizes(Model):
+    """A size distribution that is truncated to an interval: diameters outside [`min`, `max`] do not occur [m]."""
+
+    min: q.Diameter = Field(description="smallest diameter [m]")
+    max: q.Diameter = Field(description="largest diameter [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless the largest diameter exceeds the smallest."""
+        if self.max <= self.min:
+            yield Fault(("max",), f"it must be above min, {self.min:g} m")
+
+    def _center_fault(self, key: str, value: float) -> Iterator[Fault]:
+        """Yield a fault unless the mean or median [m] lies between the limits."""
+        if self.min < self.max and not self.min < value < self.max:
+            yield Fault((key,), f"it must lie between min and max, {self.min:g} and {self.max:g} m")
+
+
+class UniformSizes(TruncatedSizes):
+    """Uniformly distributed diameters from `min` to `max` [m].
+
+    >>> gf.UniformSizes(min="3 mm", max="5 mm")
+    UniformSizes(min=0.003, max=0.005)
+    """
+
+    distribution: Literal["uniform"] = Field("uniform", description="kind of size distribution")
+
+
+class NormalSizes(TruncatedSizes):
+    """Normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.NormalSizes(mean="4 mm", deviation="0.5 mm", min="3 mm", max="5 mm").mean
+    0.004
+    """
+
+    distribution: Literal["normal"] = Field("normal", description="kind of size distribution")
+    mean: q.Diameter = Field(description="mean diameter before truncation [m]")
+    deviation: q.UnscaledLength = Field(description="standard deviation before truncation [m]")
+
+    def faults(self) -> Iterator[Fault]:
+        yield from super().faults()
+        yield from self._center_fault("mean", self.mean)
+
+
+class LogNormalSizes(TruncatedSizes):
+    """Log-normally distributed diameters [m], truncated to [`min`, `max`]: values outside do not occur.
+
+    >>> gf.LogNormalSizes(median="4 mm", sigma=0.2, min="2 mm", max="8 mm").sigma
+    0.2
+    """
+
+    distribution: Literal["log_normal"] = Field("log_normal", description="kind of size distribution")
+    median: q.Diameter = Field(description="median diameter before truncation [m]")
+    sigma: q.Positive = Field(description="standard deviation of ln(diameter) before truncation")
+
+    def faults(self) -> Iterator[Fault]:
+        yield from super().faults()
+        yield from self._center_fault("median", self.median)
+
+
+class SizeClass(Model):
+    """One diameter and its fraction of all particles.
+
+    >>> gf.SizeClass(diameter="4 mm", fraction=0.5)
+    SizeClass(diameter=0.004, fraction=0.5)
+    """
+
+    diameter: q.Diameter = Field(description="diameter [m]")
+    fraction: q.Share = Field(description="fraction of this class; the fractions are normalized to the sum 1")
+
+
+def _scaled(classes: tuple[SizeClass, ...]) -> tuple[SizeClass, ...]:
+    """The classes with fractions normalized to the sum 1; unchanged if normalized, so that reading is idempotent.
+
+    Raises PydanticCustomError if all fractions are 0.
+    """
+    total = sum(each.fraction for each in classes)
+    if total == 0:
+        raise whole_error("has only fractions of 0; give at least one class a fraction above 0")
+    if abs(total - 1) <= _ROUNDING:
+        return classes
+    return tuple(SizeClass(diameter=each.diameter, fraction=each.fraction / total) for each in classes)
+
+
+Classes = Annotated[tuple[SizeClass, ...], ListOf(some="[{diameter: 4 mm, fraction: 1}]"), AfterValidator(_scaled)]
+"""List of diameters with fractions, which are normalized to the sum 1."""
+
+
+class ClassSizes(Model):
+    """A list of diameters with their fractions by number or by mass. The reader normalizes the fractions.
+
+    The number of particles of each class is exact to one particle.
+
+    >>> sizes = [gf.SizeClass(diameter=0.004, fraction=1), gf.SizeClass(diameter=0.006, fraction=3)]
+    >>> gf.ClassSizes(by="mass", classes=sizes).classes[1].fraction
+    0.75
+    """
+
+    distribution: Literal["classes"] = Field("classes", description="kind of size distribution")
+    by: Literal["number", "mass"] = Field(
+        description="number: fractions of the particle count; mass: fractions of the mass"
+    )
+    classes: Classes = Field(description="list of {diameter, fraction}")
+
+
+SizeSpec = float | tuple[float, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes
+"""Diameters after reading: one, one per particle, or a distribution [m]."""
+Sizes = Annotated[
+    q.Diameter | tuple[q.Diameter, ...] | UniformSizes | NormalSizes | LogNormalSizes | ClassSizes | None,
+    choose_by_key("distribution"),
+]
+"""Diameters as in a scene; None if a file defines them."""
+
+
+def _many_tag(value: Any) -> str:
+    """Distinguish a list of vectors from one vector."""
+    nested = isinstance(value, list | tuple) and bool(value) and isinstance(value[0], list | tuple)
+    return "<list>" if nested else "<one>"
+
+
+_one_or_many = choose_by(_many_tag, "a vector is expected, or a list of vectors")
+VelocityOrMany = Annotated[
+    Annotated[q.VelocityVector, Tag("<one>")] | Annotated[tuple[q.VelocityVector, ...], Tag("<list>")], _one_or_many
+]
+"""One velocity (3,) [m/s] for all particles, or one for each."""
+AngularVelocityOrMany = Annotated[
+    Annotated[q.AngularVelocityVector, Tag("<one>")] | Annotated[tuple[q.AngularVelocityVector, ...], Tag("<list>")],
+    _one_or_many,
+]
+"""One angular velocity (3,) [rad/s] for all particles, or one for each."""
+RadiusOrMany = Annotated[
+    Annotated[q.Radius, Tag("<one>")] | Annotated[tuple[q.Radius, ...], Tag("<list>")],
+    choose_by(lambda value: "<list>" if isinstance(value, list | tuple) else "<one>", "one radius or a list of radii"),
+]
+"""One radius [m] for all particles, or one for each."""
+
+
+class ThermalMotion(Model):
+    """Random initial velocities with the Maxwell distribution, in addition to `velocity`; from the seed of the scene.
+
+    All particles of the group have the same distribution, whatever their mass.
+    """
+
+    velocity_rms: q.Speed | None = Field(
+        None, description="root mean square of the random velocities [m/s], which they have exactly"
+    )
+    granular_temperature: q.GranularTemperature | None = Field(
+        None, description="a third of the mean square of the random velocities [m2/s2], instead of velocity_rms"
+    )
+    zero_momentum: Flag = Field(True, description="remove the total momentum of the random velocities")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the random velocities [m/s]: sqrt(3 T)."""
+        return self.velocity_rms or (3.0 * (self.granular_temperature or 0.0)) ** 0.5
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one measure of the velocities is given."""
+        if self.velocity_rms is None and self.granular_temperature is None:
+            yield missing(("velocity_rms",), "root mean square velocity [m/s]; or give granular_temperature")
+        elif self.velocity_rms is not None and self.granular_temperature is not None:
+            yield redundant("granular_temperature", "velocity_rms")
+
+
+class Group(Model, populate_by_name=False, serialize_by_alias=True):
+    """Particles of one material with one kind of insertion.
+
+    Positions and files define the count by their rows; other groups give a count or a mass, and inserted groups may
+    give an end time instead. Of several limits, the smallest number of particles applies.
+
+    >>> insertion = gf.PositionsInsertion(positions=[[0, 0, 0], [0, 0, 0.1]])
+    >>> gf.Group(material="glass", diameter="4 mm", insert=insertion).count
+    2
+    """
+
+    material: Text = Field(description="name of the particles' material")
+    count_given: q.ParticleCount | None = Field(
+        None,
+        alias="count",
+        description="number of particles, or of clumps; with positions or file: default is the number of rows",
+    )
+    mass: q.ParticleMass | None = Field(None, description="total mass [kg], instead of count")
+    diameter: Sizes = Field(
+        None, description="diameter [m], or a size distribution; with positions, also a list; with file, not allowed"
+    )
+    radius: RadiusOrMany | None = Field(
+        None, description="radius [m], instead of diameter; with positions, also a list; with file, not allowed"
+    )
+    clump: Clump | None = Field(
+        None,
+        description="rigid body of spheres in place of each sphere, {spheres: [{position: [..], radius: ..}, ...]}; "
+        "instead of diameter",
+    )
+    liquid_content: q.Share | None = Field(
+        None,
+        description="initial volume of the liquid film on each particle over the volume of the particle, 0 for dry "
+        "particles; required with contact.cohesion: {law: capillary_transfer, ...}",
+    )
+    velocity: VelocityOrMany = Field((0.0, 0.0, 0.0), description="initial velocity [m/s]")
+    angular_velocity: AngularVelocityOrMany = Field((0.0, 0.0, 0.0), description="initial angular velocity [rad/s]")
+    thermal: ThermalMotion | None = Field(
+        None, description="random initial velocities, {velocity_rms: 0.1 m/s} or {granular_temperature: ...}"
+    )
+    fixed: Flag = Field(False, description="true: the particles never move, such as those of a rough wall")
+    insert: Insertion = Field(description="insertion, {kind: lattice, pack, rain, inlet, positions, file, python, ...}")
+
+    @property
+    def count(self) -> int:
+        """Number of particles, or of clumps. Raises ValueError if it is not resolved from a mass or a file."""
+        if self.count_given is None:
+            raise ValueError("The number of particles is not resolved; see granflow.particles.resolve.")
+        return self.count_given
+
+    @property
+    def sphere_count(self) -> int:
+        """Number of spheres: those of all clumps, or the number of particles. Raises ValueError as `count`."""
+        return self.count * (1 if self.clump is None else len(self.clump.spheres))
+
+    @property
+    def sizes(self) -> SizeSpec:
+        """Diameters [m] given in the scene, or twice the radii: one, one per particle, or a distribution.
+
+        The outer diameter of clumps. Raises ValueError if a file defines them.
+        """
+        if self.clump is not None:
+            return self.clump.outer_diameter
+        if self.diameter is not None:
+            return self.diameter
+        if self.radius is None:
+            raise ValueError("A file defines the diameters.")
+        return tuple(2.0 * each for each in self.radius) if isinstance(self.radius, tuple) else 2.0 * self.radius
+
+    @model_validator(mode="before")
+    @classmethod
+    def _count_rows(cls, given: Any) -> Any:
+        """Fill in the count from a list of positions."""
+        if not isinstance(given, dict) or "count" in given:
+            return given
+        insertion = given.get("insert")
+        positions = insertion.get("positions") if isinstance(insertion, dict) else getattr(insertion, "positions", None)
+        return given | {"count": max(1, len(positions))} if isinstance(positions, list | tuple) else given
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield the faults of count, mass, diameter, lists and velocities, and of fixed particles."""
+        yield from self._amount_faults()
+        yield from self._list_faults()
+        yield from self._size_faults()
+        if self.clump is not None:
+            yield from self._clump_faults()
+        if self.thermal is not None:
+            yield from self._thermal_faults(self.thermal)
+        if self.fixed:
+            yield from self._fixed_faults()
+        for key in ("velocity", "angular_velocity") if self.insert.kind == "python" else ():
+            if np.any(getattr(self, key)):
+                yield Fault((key,), "insert.kind is python, so that it is an argument of particles.add; remove it")
+
+    def _size_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless exactly one of diameter, radius, clump and file defines the sizes."""
+        given = [key for key in ("diameter", "radius") if getattr(self, key) is not None]
+        if self.clump is not None:
+            yield from (Fault((key,), f"the spheres of the clump define the sizes; remove {key}") for key in given)
+            return
+        if not given and self.insert.kind != "file":
+            yield missing(("diameter",), "diameter [m], or a size distribution")
+        elif given and self.insert.kind == "file":
+            yield Fault((given[0],), f"the file defines the sizes; remove {given[0]}")
+        elif len(given) == 2:
+            yield redundant("radius", "diameter")
+
+    def _amount_faults(self) -> Iterator[Fault]:
+        """Yield a fault unless count, mass, end time and rows define the number of particles without contradiction."""
+        insertion, count = self.insert, self.count_given
+        rows = len(insertion.positions) if insertion.kind == "positions" else None
+        if rows is not None and count != rows:
+            yield Fault(("count",), f"insert.positions has {rows} rows; remove count")
+        if self.mass is not None and insertion.kind in ("positions", "file"):
+            yield Fault(("mass",), f"it cannot be combined with insert: {{kind: {insertion.kind}}}; remove it")
+        elif self.mass is not None and count is not None:
+            yield redundant("mass", "count")
+        elif not (self.mass or count or insertion.kind == "file" or getattr(insertion, "end", None)):
+            yield missing(("count",), "number of particles; or give mass")
+
+    def _list_faults(self) -> Iterator[Fault]:
+        """Lists require insert: {kind: positions} and must have the length of its positions."""
+        rows = len(self.insert.positions) if self.insert.kind == "positions" else None
+        for key, length in self._given_lists():
+            if rows is None:
+                yield whole(key, "is a list, which requires insert: {kind: positions}; give one value")
+            elif length != rows:
+                reason = f"is a list of length {length}, but insert.positions has length {rows}; give one per position"
+                yield whole(key, reason)
+
+    def _thermal_faults(self, thermal: ThermalMotion) -> Iterator[Fault]:
+        """Random velocities require mobile particles at the start, and two of them if their momentum is zero."""
+        if self.insert.kind in ("rain", "inlet", "file", "python"):
+            reason = f"insert.kind is {self.insert.kind}; random velocities require lattice, pack or positions"
+            yield whole(("thermal",), f"cannot be combined with it: {reason}")
+        elif self.fixed:
+            yield whole(("thermal",), "cannot be combined with fixed: true; remove thermal")
+        elif thermal.zero_momentum and self.count_given == 1:
+            reason = "one particle has momentum; write zero_momentum: false, or give two particles"
+            yield whole(("thermal",), f"cannot have zero momentum: {reason}")
+
+    def _clump_faults(self) -> Iterator[Fault]:
+        """Clumps move, and are inserted by the scene."""
+        if self.fixed:
+            yield Fault(("fixed",), "clumps cannot be fixed; build the body of fixed spheres without clump")
+        if self.insert.kind in ("file", "python"):
+            kinds = "positions, lattice, pack, rain or inlet"
+            yield Fault(("insert", "kind"), f"clumps are not inserted in this way; use {kinds}")
+
+    def _fixed_faults(self) -> Iterator[Fault]:
+        """Fixed particles must exist from the start and be at rest."""
+        if self.insert.kind in ("rain", "inlet"):
+            yield Fault(("fixed",), "rain and inlet require moving particles; use lattice, pack, positions or file")
+        for key in ("velocity", "angular_velocity"):
+            if np.any(getattr(self, key)):
+                yield Fault((key,), f"fixed is true, so the particles do not move; remove {key}")
+
+    def _given_lists(self) -> Iterator[tuple[KeyPath, int]]:
+        """Yield the key path and the length of each value that is given as a list, one entry per particle."""
+        for key in ("diameter", "radius"):
+            if isinstance(getattr(self, key), tuple):
+                yield (key,), len(getattr(self, key))
+        for key in ("velocity", "angular_velocity"):
+            value = getattr(self, key)
+            if isinstance(value[0], tuple):
+                yield (key,), len(value)
+        if self.clump is not None and isinstance(self.clump.orientation, tuple):
+            yield ("clump", "orientation"), len(self.clump.orientation)

@@ -1,0 +1,217 @@
+"""Schema of a scene file: its blocks and their keys; an immutable model in SI units after reading.
+
+Physical parameters have no hidden defaults: a scene must give all of them. Numerical parameters have defaults, all
+in `RunSettings` and `Numerics`.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+from pydantic import AfterValidator, Field, PrivateAttr
+
+from granflow.scene.blocks import shapes as q
+from granflow.scene.blocks.contact import Contact
+from granflow.scene.blocks.domain import Domain, Outlet
+from granflow.scene.blocks.materials import Material, MaterialPair
+from granflow.scene.blocks.output import Output
+from granflow.scene.blocks.particles import Group
+from granflow.scene.blocks.run import Damping, Expectation, Numerics, RunSettings, Stage
+from granflow.scene.blocks.walls import AnyWall, with_faces
+from granflow.scene.document import Document, resolve
+from granflow.scene.model import FileName, ListOf, Model, Name, PairName, Text, WallName
+from granflow.units import Number
+
+# Writes a scene as YAML with all defaults; the text loads to an equal scene.
+#
+# Numbers are plain SI values with all digits that they need.
+
+_WIDTH = 110  # characters of the longest line with a whole mapping or list
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_. /-]*[A-Za-z0-9_]|[A-Za-z_]")
+
+
+def to_yaml(value: Any, indent: int = 0) -> str:
+    """YAML text of plain data (dict, list or tuple, str, bool, int, float); short values are on one line.
+
+    `indent`: number of leading spaces. Floats have as many digits as their value requires; text that YAML would read as
+    another type is quoted.
+    """
+    pad = " " * indent
+    if isinstance(value, dict):
+        return "".join(f"{pad}{key}:{_below(each, indent)}" for key, each in value.items())
+    return "".join(f"{pad}- {_in_list(each, indent)}" for each in value)
+
+
+def _below(value: Any, indent: int) -> str:
+    """The value of a key: on the same line if it fits, else indented below."""
+    line = _inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f" {line}\n"
+    return "\n" + to_yaml(value, indent + 2)
+
+
+def _in_list(value: Any, indent: int) -> str:
+    """An item of a list: on the same line if it fits, else its first line after the hyphen."""
+    line = _inline(value)
+    if len(line) + indent <= _WIDTH or not isinstance(value, dict | list | tuple):
+        return f"{line}\n"
+    return to_yaml(value, indent + 2).lstrip(" ")
+
+
+def _inline(value: Any) -> str:
+    """A value on one line, in the notation of YAML flow collections."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_inline(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_inline(each) for each in value) + "]"
+    if isinstance(value, str):
+        plain = _PLAIN.fullmatch(value) and isinstance(resolve(value), str) and ": " not in value
+        return value if plain else '"' + "".join(map(_escaped, value)) + '"'
+    return json.dumps(value)
+
+
+def _escaped(character: str) -> str:
+    """A character with the escape that double-quoted YAML text requires."""
+    if character in '"\\':
+        return "\\" + character
+    return character if character.isprintable() else f"\\U{ord(character):08x}"
+
+
+Seed = Annotated[int, Number(noun="a seed", at_least=0, whole=True)]
+
+
+class SceneInput(Model):
+    """A complete scene as written, in SI units: validated, but not resolved; `granflow.load.Scene` is.
+
+    Immutable. `to_yaml` writes it with all defaults. Methods `locate` and `where` give source positions for messages.
+    """
+
+    title: Text = Field(description="title of the scene, one line")
+    description: Text | None = Field(None, description="description of the scene and its expected behavior")
+    seed: Seed = Field(1, description="seed of all random numbers")
+    scale: q.Positive = Field(
+        1.0,
+        description="factor of equipment lengths; particle counts scale with its cube, particle sizes do not change",
+    )
+    gravity: q.AccelerationVector = Field(description="gravity [m/s2], such as [0, 0, -9.81]")
+    materials: dict[Name, Material] = Field(description="materials by name")
+    pairs: dict[PairName, MaterialPair] = Field(
+        description="contact properties of material pairs; each key is two names joined by a hyphen"
+    )
+    contact: Contact = Field(description="contact models, such as {normal: zhou, tangential: mindlin, rolling: none}")
+    damping: Damping | None = Field(
+        None, description="damping of all motion for settling, such as {cundall: 0.5, stages: [settle]}; default: none"
+    )
+    walls: Annotated[dict[WallName, AnyWall], AfterValidator(with_faces)] = Field({}, description="walls by name")
+    particles: dict[Name, Group] = Field(description="groups of particles by name")
+    start_from: FileName | None = Field(
+        None, description="directory of an earlier run; its last particles replace those of groups with the same name"
+    )
+    outlets: dict[Name, Outlet] = Field(
+        {}, description="outlets by name: regions in which particles are deleted and counted"
+    )
+    domain: Domain = Field(description="the simulated box")
+    stages: Annotated[tuple[Stage, ...], ListOf()] = Field((), description="stages of the run, in order")
+    run: RunSettings = Field(RunSettings.model_construct(), description="duration, time step and precision")
+    numerics: Numerics = Field(Numerics.model_construct(), description="numerical parameters, all with defaults")
+    output: Output = Field(description="selection and intervals of the output")
+    expect: Annotated[tuple[Expectation, ...], ListOf()] = Field(
+        (), description="expectations for the results of the finished run"
+    )
+
+    _path: Path = PrivateAttr(Path())
+    _folder: Path = PrivateAttr(Path())
+    _document: Document | None = PrivateAttr(None)
+    _remarks: tuple[str, ...] = PrivateAttr(())
+
+    def __eq__(self, other: object) -> bool:
+        """Equality of the values; the source of the scenes does not matter."""
+        return isinstance(other, SceneInput) and self.__dict__ == other.__dict__
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def path(self) -> Path:
+        """The file of this scene; an empty path without a file."""
+        return self._path
+
+    @property
+    def folder(self) -> Path:
+        """The folder to which paths in the scene are relative; without a file, the working directory."""
+        return self._folder
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Remarks of the reader, one sentence each: a scale other than 1, overlaps in particle files."""
+        return self._remarks
+
+    @property
+    def schedule(self) -> tuple[Stage, ...]:
+        """The stages; for a scene without stages, one stage "run" of `run.duration`."""
+        return self.stages or (Stage(name="run", duration=self.run.duration),)
+
+    @property
+    def longest_duration(self) -> float:
+        """Duration [s] if each stage takes its longest."""
+        return sum(stage.longest for stage in self.schedule)
+
+    def flow_meter_parts(self, name: str) -> tuple[str, ...]:
+        """Names of the materials or groups with separate counts in a flow meter; empty without `group_by`.
+
+        Raises KeyError if the scene has no such flow meter.
+        """
+        group_by = self.output.flow_meters[name].group_by
+        return () if group_by is None else tuple(self.materials if group_by == "material" else self.particles)
+
+    @property
+    def measured_walls(self) -> tuple[str, ...]:
+        """Names of the walls with measured forces, in the order of the walls."""
+        requested = self.output.wall_forces
+        return tuple(name for name in self.walls if requested is True or (requested and name in requested))
+
+    def pair(self, first: str, second: str) -> MaterialPair:
+        """The pair of two materials in either order. Raises KeyError if the scene does not have it."""
+        return self.pairs[self.pair_key(first, second)]
+
+    def pair_key(self, first: str, second: str) -> str:
+        """The key in `pairs` for two materials in either order; "second-first" if the scene does not have the pair."""
+        key = f"{first}-{second}"
+        return key if key in self.pairs else f"{second}-{first}"
+
+    def to_yaml(self) -> str:
+        """The resolved scene as YAML with all defaults, in SI units; the text loads to an equal scene."""
+        return to_yaml(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The resolved scene as nested dictionaries with all defaults, in SI units; keys are those of a scene file.
+
+        `granflow.Scene.from_dict` makes an equal scene of it.
+        """
+        # The serializer of this class: a subclass, which has the same fields, would build another one. It warns of
+        # options that were validated before another contact model was registered, although it writes them correctly.
+        found = SceneInput.__pydantic_serializer__.to_python(self, by_alias=True, exclude_none=True, warnings=False)
+        return cast("dict[str, Any]", found)
+
+    def is_given(self, *key_path: str | int) -> bool:
+        """Whether the file or an override gives this key; False for values from a default or a preset.
+
+        `key_path`: keys and list indices, such as ("stages", 0, "duration").
+        """
+        return self._document is not None and self._document.find(key_path) is not None
+
+    def locate(self, *key_path: str | int) -> str:
+        """Source position of the value of a key, as `file:line:column`, for error messages.
+
+        For a missing key, that of the nearest existing parent key; without a file, the name of the scene file or
+        "scene".
+        """
+        if self._document is None:
+            return self.path.name or "scene"
+        return str(self._document.value_position(key_path))
+
+    def where(self, *key_path: str | int) -> str:
+        """Source position of a key, as `file:line`; for a missing key, of the nearest existing parent key."""
+        if self._document is None:
+            return self.path.name or "scene"
+        return self._document.where(key_path)

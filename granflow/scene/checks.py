@@ -1,0 +1,613 @@
+"""Liquid content of the particle groups, and parts of a scene that cannot be combined with liquid transfer."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import combinations_with_replacement, product
+
+from granflow.contact import registry
+from granflow.contact.law import FRICTION
+from granflow.fields import (
+    ENERGY_BUDGET_QUANTITIES,
+    FLOW_METER_QUANTITIES,
+    INSERTION_QUANTITIES,
+    METRIC_QUANTITIES,
+    OUTLET_QUANTITIES,
+    RUN_QUANTITIES,
+    TOTAL_QUANTITIES,
+    WALL_FORCE_QUANTITIES,
+    WALL_QUANTITIES,
+)
+from granflow.scene.blocks.contact import Contact
+from granflow.scene.blocks.domain import Domain
+from granflow.scene.blocks.materials import RestitutionFit
+from granflow.scene.blocks.output import (
+    METRIC_QUANTITIES_BY_KIND,
+    CenterOfMassMetric,
+    GridSpec,
+    ProbeMetric,
+    ReposeMetric,
+    SlidingMetric,
+    TwoComponentGrid,
+)
+from granflow.scene.blocks.particles import (
+    BoxRegion,
+    CylinderRegion,
+    DiscFace,
+    FileInsertion,
+    InletInsertion,
+    PositionsInsertion,
+    PythonInsertion,
+    RectangleFace,
+    TimedInsertion,
+)
+from granflow.scene.blocks.run import Damping
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.blocks.shapes import Box, Vector3
+from granflow.scene.blocks.walls import FreeWall, MotionSpec, Plane, Servo, Vibration, Wall
+from granflow.scene.model import nearest, suggestion_or_list
+from granflow.scene.partial import PartialScene, unknown
+from granflow.units import Fault, KeyPath, missing, whole
+from granflow.visible_text import alternatives
+
+# Parts of a scene that cannot be combined with clumps.
+
+
+def unsupported(parts: PartialScene) -> Iterator[Fault]:
+    """Clumps support no sheared boxes, damping of all motion, adaptive steps, earlier runs and fields on grids."""
+    scene = parts.scene
+    names = [name for name, group in scene.particles.items() if group.clump is not None]
+    if not names:
+        return
+    clumps = f"cannot be combined with the clumps of particles.{names[0]}"
+    if scene.damping is not None:
+        yield whole(("damping",), f"{clumps}: it acts on single spheres; remove one of the two")
+    if scene.domain.lees_edwards is not None:
+        yield whole(("domain", "lees_edwards"), f"{clumps}, which cross no sheared boundary; remove one of the two")
+    if scene.run.time_step == "adaptive":
+        yield whole(("run", "time_step"), f"{clumps}; give a number, or leave it out")
+    if scene.start_from is not None:
+        yield whole(("start_from",), f"{clumps}: it reads spheres only; remove one of the two")
+    if scene.output.fields:
+        yield whole(("output", "fields"), f"{clumps}: stresses need the forces inside a clump; remove one of the two")
+
+
+def transfer(parts: PartialScene) -> Iterator[Fault]:
+    """Every group requires a liquid content with a cohesion model that transfers liquid, and vice versa.
+
+    With `contact.cohesion: none` the content is unused. Clumps and earlier runs have no films.
+    """
+    scene, name = parts.scene, parts.scene.contact.name("cohesion")
+    transfers = name in registry.liquid_models()
+    for group_name, group in scene.particles.items():
+        path: KeyPath = ("particles", group_name, "liquid_content")
+        if transfers and group.liquid_content is None:
+            yield missing(
+                path, f"contact.cohesion is {name}; give the volume of the film over that of a particle, or 0"
+            )
+        elif transfers and group.clump is not None:
+            yield whole(("particles", group_name, "clump"), f"cannot be combined with contact.cohesion: {name}")
+        elif group.liquid_content and not transfers and name != "none":
+            remedy = f"remove liquid_content, or choose {' or '.join(registry.liquid_models())}"
+            yield Fault(path, f"contact.cohesion is {name}; {remedy}")
+    if transfers and scene.start_from is not None:
+        reason = f"cannot be combined with contact.cohesion: {name}: it reads no liquid; remove one of the two"
+        yield whole(("start_from",), reason)
+
+
+# Output and expectations: grids, metrics, flow meters and wall forces, and the names to which they refer.
+
+MOST_CELLS = 2_000_000
+"""Largest number of cells of a grid: one frame of this size takes about 1 GB of memory."""
+
+
+def field_grids(parts: PartialScene) -> Iterator[Fault]:
+    """Field grids: number of cells within the limit, existing stages, full extent along periodic axes."""
+    stages, domain = [stage.name for stage in parts.scene.stages], parts.scene.domain
+    for name, grid in parts.scene.output.fields.items():
+        path: KeyPath = ("output", "fields", name)
+        yield from _cells(domain, path, grid)
+        if grid.region is not None:
+            yield from _periodic_extent(domain, (*path, "region"), grid.region)
+        yield from _unknown_names((*path, "stages"), grid.stages, stages, "stage")
+
+
+def metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Metrics must refer to existing groups, materials and walls; an angle of repose requires gravity."""
+    for name, metric in parts.scene.output.metrics.items():
+        path: KeyPath = ("output", "metrics", name)
+        if isinstance(metric, TwoComponentGrid):
+            yield from _cells(parts.scene.domain, path, metric)
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+            yield from _unknown_names((*path, "materials"), metric.materials, parts.names("materials"), "material")
+        if isinstance(metric, CenterOfMassMetric):
+            yield from _unknown_names((*path, "groups"), metric.groups, parts.names("particles"), "group")
+        if isinstance(metric, SlidingMetric):
+            yield from _unknown_names((*path, "walls"), metric.walls, parts.names("walls"), "wall")
+        if isinstance(metric, ProbeMetric):
+            yield from _unknown_particle((*path, "id"), metric.id, parts.scene)
+        if isinstance(metric, ReposeMetric) and not any(parts.scene.gravity):
+            yield Fault((*path, "kind"), "gravity is zero, so the slope is undefined; remove this metric")
+
+
+def _unknown_particle(path: KeyPath, particle_id: int, scene: SceneInput) -> Iterator[Fault]:
+    """A fault for an id that no particle has; none if the number of particles is not given."""
+    counts = [group.count_given for group in scene.particles.values()]
+    known = sum(count or 0 for count in counts)
+    if scene.scale == 1.0 and all(counts) and particle_id >= known:
+        yield Fault(path, f"the ids of the {known} particles are 0 to {known - 1}")
+
+
+def _unknown_names(path: KeyPath, given: Iterable[str] | None, known: Iterable[str], kind: str) -> Iterator[Fault]:
+    """Faults of the items of a list that are not known names."""
+    yield from (unknown((*path, i), name, known, kind) for i, name in enumerate(given or ()) if name not in known)
+
+
+def _cells(domain: Domain, path: KeyPath, grid: GridSpec) -> Iterator[Fault]:
+    """A fault for a grid with more than MOST_CELLS cells; none if the number of cells is not defined."""
+    if (grid.cell is None) == (grid.cells is None):
+        return
+    count = math.prod(grid.cell_counts(domain))
+    if count > MOST_CELLS:
+        reason = f"this gives {count:_} cells, and the limit is {MOST_CELLS:_}".replace("_", " ")
+        yield Fault((*path, "cell" if grid.cells is None else "cells"), reason)
+
+
+def _periodic_extent(domain: Domain, path: KeyPath, region: Box) -> Iterator[Fault]:
+    """A fault for each periodic axis along which a region does not cover exactly the domain [m]."""
+    for axis in domain.periodic:
+        k = "xyz".index(axis)
+        if (region.min[k], region.max[k]) != (domain.min[k], domain.max[k]):
+            reach = f"{domain.min[k]:g} to {domain.max[k]:g} m"
+            yield whole(path, f"must extend from {reach} in {axis}, where the domain is periodic")
+
+
+def _expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str]]:
+    """Key path, quantity and part of each expectation of a quantity with a part, such as mass_flow.outlet."""
+    for path, quantity, part in _all_expected(scene):
+        if part is not None:
+            yield path, quantity, part
+
+
+def _all_expected(scene: SceneInput) -> Iterator[tuple[KeyPath, str, str | None]]:
+    """Key path, quantity and part of each expectation and each condition of a stage.
+
+    The part is None for a quantity of the whole run.
+    """
+    named: list[tuple[KeyPath, str]] = [
+        (("expect", index, "quantity"), each.quantity) for index, each in enumerate(scene.expect)
+    ]
+    for number, stage in enumerate(scene.stages):
+        named += [
+            (("stages", number, "until", index, "quantity"), each.quantity) for index, each in enumerate(stage.until)
+        ]
+    for path, name in named:
+        quantity, dot, part = name.partition(".")
+        yield path, quantity, part if dot else None
+
+
+RESULT_ONLY = {
+    *(*RUN_QUANTITIES, "timings", "wall_force", "wall_torque"),
+    *(name for name in WALL_FORCE_QUANTITIES if name.endswith(("_largest", "_last"))),
+}
+"""Quantities of the result that rows of the time series do not have."""
+_WHOLE = {**TOTAL_QUANTITIES, **RUN_QUANTITIES}
+"""Quantities of the whole run."""
+_PARTS = {
+    **{name: "the name of a flow meter" for name in FLOW_METER_QUANTITIES},
+    **{name: "the name of an outlet" for name in OUTLET_QUANTITIES},
+    **{name: "the name of a particle group" for name in INSERTION_QUANTITIES},
+    **{name: "the name of a wall" for name in (*WALL_FORCE_QUANTITIES, *WALL_QUANTITIES)},
+    **{name: "the name of a metric" for name in METRIC_QUANTITIES},
+    "timings": "forces or another phase",
+}
+"""What follows the point after a quantity."""
+
+
+def expected_names(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing quantities, with a name of the kind that the quantity requires."""
+    for path, quantity, part in _all_expected(parts.scene):
+        if part is not None and quantity not in _PARTS and quantity in _WHOLE:
+            yield Fault(path, f"{quantity} is a quantity of the whole run; write {quantity}")
+        elif part is None and quantity not in _WHOLE and quantity in _PARTS:
+            yield Fault(path, f"{quantity} requires {_PARTS[quantity]}; write {quantity}.NAME")
+        elif quantity not in _WHOLE and quantity not in _PARTS:
+            yield Fault(path, f"there is no such quantity. {_similar_quantity(quantity, part)}")
+        elif quantity in ENERGY_BUDGET_QUANTITIES and not parts.scene.output.energy_budget:
+            yield Fault(path, "output.energy_budget is false; set it to true")
+
+
+def _similar_quantity(quantity: str, part: str | None) -> str:
+    """Remedy for an unknown quantity with the name `part` behind the point, or None."""
+    found = nearest(quantity, [*_WHOLE, *_PARTS])
+    if found is None:
+        return "Give one such as kinetic_energy or mass_flow.NAME"
+    end = f".{part or 'NAME'}" if found in _PARTS else ""
+    return f"Did you mean {found}{end}?"
+
+
+def condition_columns(parts: PartialScene) -> Iterator[Fault]:
+    """Conditions of stages must refer to columns of the time series, not to results of the whole run."""
+    for number, stage in enumerate(parts.scene.stages):
+        for index, condition in enumerate(stage.until):
+            path: KeyPath = ("stages", number, "until", index, "quantity")
+            quantity, _, part = condition.quantity.partition(".")
+            wall = parts.scene.walls.get(part)
+            if quantity in WALL_QUANTITIES and wall and not any(each.force_controlled for each in wall.motion):
+                yield Fault(path, f"{part} is neither a servo nor a free wall; its displacement follows from the time")
+            elif quantity in RESULT_ONLY or quantity.endswith("_mean") or quantity in INSERTION_QUANTITIES:
+                yield Fault(path, "it is a result of the whole run; give a column of timeseries.csv")
+
+
+def expected_parts(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing flow meters, outlets and inserted groups."""
+    scene, meters = parts.scene, parts.scene.output.flow_meters
+    meter_names = [*meters, *(f"{name}.{part}" for name in meters for part in scene.flow_meter_parts(name))]
+    inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    known: tuple[tuple[Iterable[str], Iterable[str], str], ...] = (
+        (FLOW_METER_QUANTITIES, meter_names, "flow meter"),
+        (OUTLET_QUANTITIES, parts.names("outlets"), "outlet"),
+        (INSERTION_QUANTITIES, inserted, "inserted group"),
+    )
+    for path, quantity, part in _expected(scene):
+        for quantities, names, kind in known:
+            if quantity in quantities and part not in names:
+                yield unknown(path, part, names, kind)
+
+
+def expected_metrics(parts: PartialScene) -> Iterator[Fault]:
+    """Expectations must refer to existing metrics that provide the quantity, or its time average NAME_mean."""
+    known = parts.scene.output.metrics
+    for path, quantity, name in _expected(parts.scene):
+        if quantity not in METRIC_QUANTITIES:
+            continue
+        if name not in known:
+            yield unknown(path, name, known, "metric")
+        elif quantity.removesuffix("_mean") not in METRIC_QUANTITIES_BY_KIND[known[name].kind]:
+            numbers = ", ".join(f"{each}.{name}" for each in METRIC_QUANTITIES_BY_KIND[known[name].kind])
+            yield Fault(path, f"{name} is of kind {known[name].kind}; its quantities are {numbers}")
+
+
+def wall_forces(parts: PartialScene) -> Iterator[Fault]:
+    """Wall forces of existing walls, expectations of measured wall forces, pressures of walls with an area.
+
+    An expectation NAME.WALL requires that `output.wall_forces` includes the wall.
+    """
+    requested, known = parts.scene.output.wall_forces, parts.names("walls")
+    if not isinstance(requested, bool):
+        yield from _unknown_names(("output", "wall_forces"), requested, known, "wall")
+    measured = known if requested is True else requested or ()
+    for path, quantity, wall in _expected(parts.scene):
+        if quantity not in WALL_FORCE_QUANTITIES:
+            continue
+        if wall not in known:
+            yield unknown(path, wall, known, "wall")
+        elif wall not in measured:
+            remedy = "write wall_forces: true, or add it to the list"
+            yield Fault(path, f"output.wall_forces does not include {wall}; {remedy}")
+        elif "pressure" in quantity and isinstance(parts.scene.walls.get(wall), Plane):
+            remedy = "use wall_force_x, wall_force_y or wall_force_z"
+            yield Fault(path, f"the plane {wall} is infinite and has no area; {remedy}")
+
+
+# Materials, their pairs, and the properties of pairs that the contact models require.
+
+ASSUMED_COUNT = 2
+"""Assumed number of particles of a group without a known count: enough for contacts within the group."""
+
+
+def materials_exist(parts: PartialScene) -> Iterator[Fault]:
+    """Materials of walls and groups must exist."""
+    known = parts.names("materials")
+    for section in ("walls", "particles"):
+        for name, part in getattr(parts.scene, section).items():
+            if part.material not in known:
+                yield unknown((section, name, "material"), part.material, known, "material")
+
+
+def material_names(parts: PartialScene) -> Iterator[Fault]:
+    """Pairs of unknown materials, and duplicate pairs: A-B and B-A are the same pair."""
+    known = parts.names("materials")
+    seen: dict[frozenset[str], str] = {}
+    for key in parts.names("pairs"):
+        both = key.split("-")
+        if len(both) != 2:
+            continue
+        for name in dict.fromkeys(both):
+            if name not in known:
+                remedy = suggestion_or_list(name, known, "materials")
+                yield whole(("pairs", key), f"names {name}, which is not under materials. {remedy}")
+        first = seen.setdefault(frozenset(both), key)
+        if first != key:
+            line = parts.document.key_position(("pairs", first)).line
+            existing = f"{first} at line {line}" if line else first
+            yield whole(("pairs", key), f"is a duplicate of the pair {existing}; keep one of them")
+
+
+def possible_contacts_have_a_pair(parts: PartialScene) -> Iterator[Fault]:
+    """Each two materials that can come into contact must have an entry under `pairs`.
+
+    A pair with a misspelled name counts as the one with the closest known name: another check reports it.
+    """
+    known = parts.names("materials")
+    existing = {frozenset(nearest(name, known) or name for name in key.split("-")) for key in parts.names("pairs")}
+    mobile, fixed = (_counts(parts.scene, set(known), fixed) for fixed in (False, True))
+    walls = {name: wall.material for name, wall in parts.scene.walls.items() if wall.material in known}
+    for both, why in possible_contacts(mobile, fixed, walls).items():
+        if both not in existing:
+            yield missing(("pairs", pair_name(both)), f"{why}; give at least its restitution and friction")
+
+
+def possible_contacts(
+    mobile: Mapping[str, int], fixed: Iterable[str], walls: Mapping[str, str]
+) -> dict[frozenset[str], str]:
+    """Material pairs whose particles or walls can come into contact, with the reason.
+
+    mobile:  number of mobile particles for each of their materials
+    fixed:   materials of fixed particles, which touch neither each other nor walls
+    walls:   material of each wall
+
+    A material with a single particle does not touch itself.
+    """
+    found: dict[frozenset[str], str] = {}
+    for a, b in combinations_with_replacement(mobile, 2):
+        if a != b or mobile[a] > 1:
+            other = f"particles of {b}" if a != b else "each other"
+            found[frozenset((a, b))] = f"particles of {a} can be in contact with {other}"
+    for a, b in product(mobile, fixed):
+        found.setdefault(frozenset((a, b)), f"particles of {a} can be in contact with fixed ones of {b}")
+    for (name, material), a in product(walls.items(), mobile):
+        reason = f"particles of {a} can be in contact with the wall {name} of {material}"
+        found.setdefault(frozenset((a, material)), reason)
+    return found
+
+
+def pair_name(both: frozenset[str]) -> str:
+    """Key of a pair of materials under `pairs`."""
+    return "-".join(sorted(both) * (3 - len(both)))
+
+
+def _counts(scene: SceneInput, materials: set[str], fixed: bool) -> dict[str, int]:
+    """Number of fixed particles, or of mobile ones, for each of these materials.
+
+    A group with a mass or an end time in place of a count is assumed to have ASSUMED_COUNT particles, and a group to
+    which a program adds particles at least as many.
+    """
+    found: dict[str, int] = {}
+    for group in scene.particles.values():
+        if group.material in materials and group.fixed == fixed:
+            least = ASSUMED_COUNT if group.insert.kind == "python" else 1
+            found[group.material] = found.get(group.material, 0) + max(group.count_given or ASSUMED_COUNT, least)
+    return found
+
+
+def pair_options(parts: PartialScene) -> Iterator[Fault]:
+    """Keys of pairs require the contact model that declares them, and vice versa."""
+    contact = parts.scene.contact
+    for key, pair in parts.scene.pairs.items():
+        for option in registry.pair_options().values():
+            path: KeyPath = ("pairs", key, option.key)
+            value, known = getattr(pair, option.key), registry.models_with(option.key)
+            users = {slot: contact.name(slot) for slot, names in known.items() if contact.name(slot) in names}
+            if users and value is None:
+                slot, name = next(iter(users.items()))
+                yield missing(path, f"contact.{slot} is {name}; {option.remedy}")
+            elif value and not users and not _is_switched_off(contact, known):
+                slot, names = next(iter(known.items()))
+                remedy = "write 0" if option.key == FRICTION.key else f"remove {option.key}"
+                reason = f"contact.{slot} is {contact.name(slot)}; {remedy}, or choose {' or '.join(names)}"
+                yield Fault(path, reason)
+
+
+def _is_switched_off(contact: Contact, slots: Iterable[str]) -> bool:
+    """Whether an option is one of a cohesion that is none: it is unused then, with a warning of the plan.
+
+    A comparison with and without cohesion changes `contact.cohesion` only.
+    """
+    return list(slots) == ["cohesion"] and contact.name("cohesion") == "none"
+
+
+def restitution(parts: PartialScene) -> Iterator[Fault]:
+    """Restitution in the form that the normal contact model requires; none if it follows from the materials.
+
+    The forms are: nothing, a number, a positive number, a number or a fit (`ContactModel.restitution`).
+    """
+    normal = parts.scene.contact.normal
+    for key, pair in parts.scene.pairs.items():
+        path: KeyPath = ("pairs", key, "restitution")
+        if normal.record.restitution == "nothing":
+            if pair.restitution is not None:
+                yield Fault(path, f"the contact model {normal.law} derives it from the materials; remove it")
+            elif len(_without_yield_strength(parts, key)) == len(set(key.split("-"))):
+                names = " or ".join(dict.fromkeys(key.split("-")))
+                reason = f"requires a yield strength (contact model {normal.law}): give the yield_strength of {names}"
+                yield whole(("pairs", key), reason)
+        elif pair.restitution is None:
+            yield missing(path, "restitution coefficient, a number in [0, 1]")
+        elif isinstance(pair.restitution, RestitutionFit):
+            yield from _restitution_fit(parts, key, pair.restitution)
+        elif pair.restitution == 0 and normal.record.restitution == "positive number":
+            yield Fault(path, f"the contact model {normal.law} requires a number above 0 and at most 1")
+
+
+def _restitution_fit(parts: PartialScene, key: str, fit: RestitutionFit) -> Iterator[Fault]:
+    """A restitution fit (Zhou 2011, Eq. 12) is valid only with a contact model that accepts it.
+
+    Without a limit velocity, it requires the yield strengths of its materials (Eq. 11).
+    """
+    normal, path = parts.scene.contact.normal, ("pairs", key, "restitution")
+    settings, without_yield = normal.settings(), _without_yield_strength(parts, key)
+    fixed = [name for name, word in normal.fixed_by_numbers().items() if settings[name] == word]
+    if normal.record.restitution != "number or fit":
+        yield Fault(path, f"the contact model {normal.law} requires a number, above 0 and at most 1")
+    elif fixed:
+        words = [word for word in normal.words(fixed[0]) if word != settings[fixed[0]]]
+        reason = f"contact.normal.{fixed[0]} is {settings[fixed[0]]}, which requires a number; "
+        yield Fault(path, f"{reason}or write {' or '.join(words)}")
+    elif fit.limit_velocity is None and without_yield:
+        remedy = f"give limit_velocity, or the yield_strength of {' and '.join(without_yield)} (Zhou 2011, Eq. 11)"
+        yield whole(path, f"has no limit velocity: {remedy}")
+
+
+def _without_yield_strength(parts: PartialScene, key: str) -> list[str]:
+    """The materials of a pair without a yield strength; invalid materials are not included."""
+    materials = parts.scene.materials
+    names = dict.fromkeys(key.split("-"))
+    return [name for name in names if name in materials and not materials[name].yield_strength]
+
+
+# Regions of particle groups in the domain, and features that the boundaries of the domain exclude.
+
+_AXES = "xyz"
+
+
+def some_particles(parts: PartialScene) -> Iterator[Fault]:
+    """At least one group of particles must be given."""
+    node = parts.document.root.child("particles")
+    if node is not None and node.entries == {}:
+        yield Fault(("particles",), "at least one group of particles is required")
+
+
+def inside_domain(parts: PartialScene) -> Iterator[Fault]:
+    """Initial positions and insertion regions must lie inside the domain.
+
+    Centers only: a particle may extend beyond the domain. Inverted domains are reported by another check.
+    """
+    low, high = parts.scene.domain.min, parts.scene.domain.max
+    for name, group in parts.scene.particles.items():
+        path: KeyPath = ("particles", name, "insert")
+        if isinstance(group.insert, PositionsInsertion):
+            for index, point in enumerate(group.insert.positions):
+                if not all(a <= x <= b or b <= a for a, x, b in zip(low, point, high, strict=True)):
+                    yield Fault((*path, "positions", index), "it lies outside the domain")
+        if isinstance(group.insert, PositionsInsertion | FileInsertion | PythonInsertion):
+            continue
+        key = "face" if isinstance(group.insert, InletInsertion) else "region"
+        for axis, (a, b) in enumerate(_extent(getattr(group.insert, key))):
+            if low[axis] < high[axis] and (a < low[axis] or b > high[axis]):
+                reach = f"extends from {a:.4g} to {b:.4g} m in {_AXES[axis]}"
+                yield whole((*path, key), f"{reach}, beyond the domain, {low[axis]:g} to {high[axis]:g} m")
+
+
+def _extent(region: BoxRegion | CylinderRegion | RectangleFace | DiscFace) -> Iterator[tuple[float, float]]:
+    """Smallest and largest coordinate [m] of a region or a face along each axis.
+
+    For a cylinder with the unit axis a, a radius R extends by R sqrt(1 - a_k^2) along axis k from each end.
+    """
+    if isinstance(region, BoxRegion):
+        yield from zip(region.box.min, region.box.max, strict=True)
+    elif isinstance(region, RectangleFace):
+        for c, p, q in zip(region.rectangle.corner, *region.rectangle.sides, strict=True):
+            corners = (c, c + p, c + q, c + p + q)
+            yield min(corners), max(corners)
+    elif isinstance(region, DiscFace):
+        disc = region.disc
+        yield from _round_extent(disc.center, disc.center, disc.normal, disc.radius)
+    else:
+        a, b = region.cylinder.from_, region.cylinder.to
+        yield from _round_extent(a, b, (b[0] - a[0], b[1] - a[1], b[2] - a[2]), region.cylinder.radius)
+
+
+def _round_extent(a: Vector3, b: Vector3, axis: Vector3, radius: float) -> Iterator[tuple[float, float]]:
+    """Extent along each axis of two circles around the points a and b [m], perpendicular to `axis`."""
+    length = math.hypot(*axis) or 1.0
+    for p, q, along in zip(a, b, axis, strict=True):
+        reach = radius * math.sqrt(max(0.0, 1 - (along / length) ** 2))
+        yield min(p, q) - reach, max(p, q) + reach
+
+
+def lees_edwards(parts: PartialScene) -> Iterator[Fault]:
+    """Lees-Edwards boxes support neither walls, nor insertion during the run, nor flow meters: the images move.
+
+    One fault names all features of the scene that are not supported.
+    """
+    scene = parts.scene
+    if scene.domain.lees_edwards is None:
+        return
+    inserted = [name for name, group in scene.particles.items() if isinstance(group.insert, TimedInsertion)]
+    unsupported = {
+        "walls": list(scene.walls),
+        "particles inserted during the run": inserted,
+        "flow meters": list(scene.output.flow_meters),
+    }
+    found = [f"{kind} ({', '.join(names)})" for kind, names in unsupported.items() if names]
+    if scene.damping is not None:
+        yield Fault(
+            ("damping",), "domain.lees_edwards is given, and no frame is at rest in uniform shear; remove one of them"
+        )
+    if found:
+        unsupported_text = alternatives(found)
+        yield whole(("domain", "lees_edwards"), f"cannot be combined with {unsupported_text}: the periodic images move")
+
+
+# Stages, times and motions of walls.
+
+
+def stage_names(parts: PartialScene) -> Iterator[Fault]:
+    """Unique stage names, and references of walls, motions and damping to existing stages only.
+
+    A scene without stages has the single stage "run".
+    """
+    stages = parts.scene.stages
+    known = [stage.name for stage in stages] or ["run"]
+    for index, name in enumerate(known):
+        if name in known[:index]:
+            reason = f"stages.{known.index(name)} has the same name; give each stage a different name"
+            yield Fault(("stages", index, "name"), reason)
+    for path, part in [*_walls(parts.scene), *_motions(parts.scene), *_damping(parts.scene)]:
+        for index, name in enumerate(part.stages or ()):
+            location = (*path, "stages", index)
+            if name not in known and stages:
+                yield unknown(location, name, known, "stage")
+            elif name not in known:
+                remedy = "remove stages" if path == ("damping",) else "give times instead of stages"
+                yield Fault(location, f"the scene has no stages; {remedy}")
+
+
+def _walls(scene: SceneInput) -> Iterator[tuple[KeyPath, Wall]]:
+    """Each wall with its key path."""
+    yield from ((("walls", name), wall) for name, wall in scene.walls.items())
+
+
+def _motions(scene: SceneInput) -> Iterator[tuple[KeyPath, MotionSpec]]:
+    """Each motion of a wall with its key path."""
+    for path, wall in _walls(scene):
+        yield from (((*path, "motion", index), motion) for index, motion in enumerate(wall.motion))
+
+
+def _damping(scene: SceneInput) -> Iterator[tuple[KeyPath, Damping]]:
+    """The damping with its key path, if there is one."""
+    if scene.damping is not None:
+        yield ("damping",), scene.damping
+
+
+def duration(parts: PartialScene) -> Iterator[Fault]:
+    """Exactly one of `run.duration` and `stages` must be given."""
+    is_given = parts.scene.run.duration is not None
+    if not is_given and not parts.scene.stages:
+        yield missing(("run", "duration"), "give the simulated time, such as 2 s, or stages")
+    if is_given and parts.scene.stages:
+        yield Fault(("run", "duration"), "the stages have durations; remove run.duration")
+
+
+def gamma_requires_gravity(parts: PartialScene) -> Iterator[Fault]:
+    """Gamma, the peak acceleration over gravity, requires gravity."""
+    for path, motion in _motions(parts.scene) if not any(parts.scene.gravity) else ():
+        if isinstance(motion, Vibration) and motion.gamma is not None:
+            yield Fault((*path, "gamma"), "gravity is zero; give amplitude and frequency")
+
+
+def force_controlled_walls(parts: PartialScene) -> Iterator[Fault]:
+    """Prescribed pressures require a wall with an area; force-controlled walls require a constant time step.
+
+    The limits of their gain and mass are computed for one time step.
+    """
+    scene = parts.scene
+    controlled = [(path, each) for path, each in _motions(scene) if isinstance(each, Servo | FreeWall)]
+    for path, motion in controlled:
+        has_pressure = isinstance(motion, Servo) and motion.pressure is not None
+        if has_pressure and isinstance(scene.walls[str(path[1])], Plane):
+            yield Fault((*path, "pressure"), "a plane is infinite and has no area; give force, or use a rectangle")
+    if controlled and scene.run.time_step == "adaptive":
+        path, motion = controlled[0]
+        reason = f"walls.{path[1]} is {motion.kind}, which requires a constant time step; write auto"
+        yield Fault(("run", "time_step"), reason)

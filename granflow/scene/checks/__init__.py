@@ -1,1 +1,0 @@
-"""Consistency checks between the parts of a scene; `granflow.scene.validation` lists and runs them."""

@@ -1,0 +1,674 @@
+"""Example of each key of a scene: the one of its description, a value in a shipped scene, or one of its type."""
+
+import json
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from granflow.io.files import example_paths
+from granflow.scene.blocks.scene import SceneInput
+from granflow.scene.model import nearest
+from granflow.units import DIMENSIONS, Dimension
+
+# JSON Schema of scene files, for completion and validation in editors.
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_TITLE = "granflow scene"
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of scene files.
+
+    Numbers may be plain (SI) or text with a unit. `granflow check` also detects inconsistencies between parts, such
+    as a missing pair. The result contains plain Python data only and can be written as JSON.
+    """
+    schema = SceneInput.model_json_schema(by_alias=True)
+    return {"$schema": _DIALECT, **_simplified(schema), "title": _TITLE}
+
+
+def _simplified(value: Any) -> Any:
+    """The schema without titles that pydantic derives from names, and without examples in Python.
+
+    Mappings by name accept no other names.
+    """
+    if isinstance(value, str):
+        return value.partition("\n\n>>> ")[0]
+    if isinstance(value, list):
+        return [_simplified(each) for each in value]
+    if not isinstance(value, dict):
+        return value
+    closed = {"additionalProperties": False} if "patternProperties" in value else {}
+    titles = {"title"} if isinstance(value.get("title"), str) else set()
+    return {key: _simplified(each) for key, each in value.items() if key not in titles} | closed
+
+
+# Reads the JSON Schema of scenes: its parts, their keys, and the type, unit, range and default of each key.
+
+ROOT = "scene"
+"""Name of the part with the keys of the first level."""
+REFERENCE = "#/$defs/"
+ANY_NAME = "NAME"
+"""Placeholder of a name in a key path, such as walls.NAME.radius."""
+PLAIN_TEXT = re.compile(r"[\w./^+%°-][\w./^+%° -]*")
+"""Text that YAML does not require in quotes."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a part of a scene.
+
+    part, name:   name of the part in the schema, and of the key
+    schema:       JSON Schema of the value
+    is_required:  whether the part requires the key
+    """
+
+    part: str
+    name: str
+    schema: dict[str, Any]
+    is_required: bool
+
+    @property
+    def description(self) -> str:
+        """Description in the schema; empty without one."""
+        return str(self.schema.get("description", ""))
+
+    @property
+    def default(self) -> str:
+        """Default as YAML; "required" or "none" without one."""
+        if self.is_required:
+            return "required"
+        value = self.schema.get("default")
+        if value is None and "default:" in self.description:
+            return self.description.partition("default:")[2].partition(";")[0].strip()
+        if isinstance(value, dict) and value:
+            return "its defaults"
+        return "none" if value in (None, {}, []) else as_yaml(value)
+
+
+@cache
+def parts() -> dict[str, dict[str, Any]]:
+    """Schemas of all parts of a scene by name; the first is ROOT."""
+    schema = json_schema()
+    return {ROOT: schema, **schema["$defs"]}
+
+
+def keys(part: str) -> list[Key]:
+    """Keys of a part, in the order of the schema."""
+    schema = parts()[part]
+    always = set(schema.get("required", ()))
+    return [Key(part, name, value, name in always) for name, value in schema.get("properties", {}).items()]
+
+
+def all_keys() -> Iterator[Key]:
+    """Keys of all parts."""
+    for part in parts():
+        yield from keys(part)
+
+
+def alternatives(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Schemas of the values that a key accepts, without unions; null is omitted."""
+    for union in ("anyOf", "oneOf"):
+        if union in schema and "properties" not in schema:
+            for each in schema[union]:
+                yield from alternatives(each)
+            return
+    if schema.get("type") != "null":
+        yield schema
+
+
+def referenced(schema: dict[str, Any]) -> str | None:
+    """Name of the part to which a schema refers; None for other schemas."""
+    target = schema.get("$ref", "")
+    return target.removeprefix(REFERENCE) if target else None
+
+
+def children(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Parts that a value can contain, each with the path that leads there: "", ".NAME" or "[]"."""
+    for each in alternatives(schema):
+        if part := referenced(each):
+            yield "", part
+        for inner in each.get("patternProperties", {}).values():
+            yield from ((f".{ANY_NAME}{path}", part) for path, part in children(inner))
+        if isinstance(each.get("items"), dict):
+            yield from ((f"[]{path}", part) for path, part in children(each["items"]))
+        for inner in each.get("prefixItems", ()):
+            yield from ((f"[]{path}", part) for path, part in children(inner))
+
+
+@cache
+def places() -> dict[str, list[str]]:
+    """Key paths at which each part occurs, in the order of the scene; those of nested parts start at the first path."""
+    found: dict[str, list[str]] = {ROOT: [""]}
+    waiting = [ROOT]
+    while waiting:
+        part = waiting.pop(0)
+        for key in keys(part):
+            for path, inner in children(key.schema):
+                place = f"{found[part][0]}.{key.name}{path}".lstrip(".")
+                if inner not in found:
+                    waiting.append(inner)
+                if place not in found.setdefault(inner, []):
+                    found[inner].append(place)
+    return found
+
+
+def clear_schema() -> None:
+    """Clear what was derived from the schema; required after a change of the schema."""
+    parts.cache_clear()
+    places.cache_clear()
+
+
+def variant(part: str) -> str:
+    """Key and value that select a part of a union, such as `shape: cone`; empty for other parts."""
+    constants = {key: value["const"] for key, value in parts()[part].get("properties", {}).items() if "const" in value}
+    return next((f"{key}: {value}" for key, value in constants.items()), "")
+
+
+def as_yaml(value: Any) -> str:
+    """A value as YAML on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(as_yaml(each) for each in value)}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {as_yaml(each)}" for key, each in value.items() if each is not None) + "}"
+    text = str(value)
+    return text if not isinstance(value, str) or PLAIN_TEXT.fullmatch(text) else json.dumps(text, ensure_ascii=False)
+
+
+def dimension_of(schema: dict[str, Any]) -> Dimension | None:
+    """Dimension of a number with a unit, from the pattern of its text; None for other schemas."""
+    units = re.search(r"\((?:\?:)?([^()]*)\)\?\\s\*\$$", schema.get("pattern", ""))
+    if units is None:
+        return None
+    for dimension in DIMENSIONS.values():
+        if "|".join(map(re.escape, dimension.units)) == units[1]:
+            return dimension
+    return None
+
+
+def si_unit(dimension: Dimension) -> str:
+    """SI unit of a dimension; empty for a dimensionless number."""
+    unit = next(iter(dimension.units))
+    return "" if unit == "%" else unit
+
+
+NO_SCENES = ("sweeps/", "calibration/")
+"""Folders of shipped files that are not scenes."""
+LONGEST = 72
+"""Characters of the longest example from a scene."""
+TEXTS = {
+    "description": "8000 glass beads discharge through the outlet.",
+    "file": "parts/drum.stl",
+    "start_from": "../out/hopper",
+    "quantity": "mass_flow.outlet",
+    "name": "settle",
+    "materials": "glass",
+    "groups": "red",
+    "stages": "settle",
+}
+"""Examples of text by key."""
+VECTORS = {
+    "min": "[0, 0, 0]",
+    "max": "[40 mm, 40 mm, 80 mm]",
+    "sides": "[[40 mm, 0, 0], [0, 20 mm, 0]]",
+    **dict.fromkeys(("point", "center", "corner", "translate"), "[0, 0, 10 mm]"),
+    **dict.fromkeys(("normal", "axis", "direction"), "[0, 0, 1]"),
+}
+"""Examples of lists of numbers by key."""
+EXAMPLES = {
+    "expect": "[{quantity: particle_count, equals: 8000, tolerance: 0}]",
+    "phase": "90 deg",
+    "motion": "{kind: vibration, direction: [0, 0, 1], amplitude: 1 mm, frequency: 25 Hz}",
+    "until": "{quantity: wall_pressure.lid, above: 100 kPa}",
+    "domain": "{min: [0, 0, 0], max: [40 mm, 40 mm, 80 mm], on_exit: error}",
+}
+"""Examples by key where the shipped scenes have special values or none."""
+PART_EXAMPLES = {
+    "scene.start_from": "out/hopper",
+    "scene.title": "Conical hopper",
+    "scene.damping": "{drag: 5 1/s, stages: [settle]}",
+    "Material.restitution_fit": "[3.0, 0.5]",
+    "MaterialPair.twisting_friction": "20 um",
+    "MaterialPair.rolling_dissipation": "0.1 ms",
+    "MaterialPair.rolling_damping": "0.3",
+    "MaterialPair.hamaker_constant": "6.5e-20",
+    "MaterialPair.separation": "1.65e-10",
+    "RestitutionFit.sigma": "3.0",
+    "RestitutionFit.limit_velocity": "100 m/s",
+    "Damping.drag": "5 1/s",
+    "Group.mass": "20 g",
+    "Group.clump": "{spheres: [{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]}",
+    "Clump.spheres": "[{position: [0, 0, 0], radius: 2 mm}, {position: [3 mm, 0, 0], radius: 2 mm}]",
+    "Group.radius": "2 mm",
+    "Group.velocity": "[0, 0, -0.5 m/s]",
+    "Group.angular_velocity": "[0, 6, 0]",
+    "Group.liquid_content": "1 %",
+    "Group.thermal": "{velocity_rms: 0.1 m/s}",
+    "Stage.min_duration": "50 ms",
+    "RunSettings.time_step": "2 us",
+    "Output.fields": "{bed: {cell: 5 mm, quantities: [solid_fraction, velocity]}}",
+    "ThorntonNormal.yield_ratio": "0.02",
+    "KuwabaraKonoNormal.reference_velocity": "1 m/s",
+    "Vibration.amplitude": "1 mm",
+    "Vibration.frequency": "25 Hz",
+    "Vibration.angular_frequency": "157 rad/s",
+    "Translation.velocity": "[0, 0, -20 mm/s]",
+    "Translation.initial_velocity": "[0, 0, 0]",
+    "Translation.ramp_duration": "50 ms",
+    "Rotation.ramp_duration": "0.5 s",
+    "Rotation.initial_angular_velocity": "0",
+    "SurfaceVelocity.velocity": "[0.5 m/s, 0, 0]",
+    "SurfaceVelocity.initial_velocity": "[0, 0, 0]",
+    "SurfaceVelocity.ramp_duration": "0.2 s",
+    "TableMotion.file": "motion.csv",
+    "TableMotion.times": "[0, 0.5 s, 1 s]",
+    "TableMotion.displacements": "[0, 4 mm, 0]",
+    "TableMotion.velocities": "[0, 20 mm/s, 0]",
+    "TableMotion.angles": "[0, 30 deg, 0]",
+    "TableMotion.angular_velocities": "[0, 30 rpm, 0]",
+    "Servo.direction": "[0, 0, -1]",
+    "Servo.pressure": "50 kPa",
+    "Servo.velocity_max": "0.1 m/s",
+    "FreeWall.direction": "[0, 0, -1]",
+    "LogNormalSizes.min": "1 mm",
+    "LogNormalSizes.max": "4 mm",
+    "LogNormalSizes.median": "2 mm",
+    "LogNormalSizes.sigma": "0.3",
+    "ThermalMotion.velocity_rms": "0.1 m/s",
+    "RainInsertion.rate": "2000 1/s",
+    "RainInsertion.end": "1 s",
+    "InletInsertion.start": "0",
+    "FileInsertion.file": "particles.csv",
+    "StageCondition.quantity": "wall_pressure.lid",
+    "StageCondition.above": "100 kPa",
+    "StageCondition.below": "5 kPa",
+    "FieldGrid.cells": "[20, 1, 40]",
+    "LaceyMetric.cells": "[4, 4, 8]",
+    "SegregationMetric.cells": "[4, 4, 8]",
+    "SegregationMetric.cell": "20 mm",
+    "SlidingMetric.walls": "[floor]",
+    "Box.min": "[0, 0, 0]",
+    "Box.max": "[40 mm, 40 mm, 80 mm]",
+    "Checkpoints.interval": "0.5 s",
+    "CollisionEnergies.min": "1 nJ",
+    "CollisionEnergies.max": "1 mJ",
+    "FileSummary.speed_max": "0.5 m/s",
+    "FileSummary.diameter_min": "3 mm",
+    "FileSummary.overlap_max": "0.01",
+    "FileSummary.overlap_rows": "lines 12 and 40",
+    "LeesEdwards.start": "0.2 s",
+    "BoxOutlet.box": "{min: [-0.5, -0.5, 0.2], max: [0.5, 0.5, 0.4]}",
+    **{f"{law}Stiffness{way}": value for law in ("Linear", "WaltonBraun", "Luding") for way, value in (
+        ("ReferenceVelocity.reference_velocity", "1 m/s"), ("Value.value", "1e4 N/m"))},
+    "WaltonBraunUnloadingReferenceVelocity.reference_velocity": "1 m/s",
+    **{f"{motion}.end": "1.5 s" for motion in (
+        "Vibration", "Translation", "Rotation", "TableMotion", "SurfaceVelocity", "Servo", "FreeWall")},
+    **{f"{wall}.vanishes_at": "1 s" for wall in (
+        "Plane", "Rectangle", "Cylinder", "Cone", "Disc", "BoxWall", "MeshWall")},
+}  # fmt: skip
+"""Examples by part and key where neither the shipped scenes nor the type give a realistic value."""
+
+
+def example_of(key: Key) -> str:
+    """Key and example value as YAML on one line."""
+    value = PART_EXAMPLES.get(f"{key.part}.{key.name}") or EXAMPLES.get(key.name)
+    value = value or _described(key.description) or _from_scenes(key)
+    return f"{key.name}: {value or _typical(key.schema, key.name)}"
+
+
+def _described(description: str) -> str:
+    """Example at the end of a description, after "such as"; empty without one."""
+    found = re.search(r"such as ([^;]+?)( for [a-z]+)?$", description)
+    return found[1] if found and ", or" not in found[1] and " of " not in found[1] else ""
+
+
+def _from_scenes(key: Key) -> str:
+    """The most frequent value in the shipped scenes, of equally frequent ones the shortest; empty if all are long."""
+    found = _harvest().get((key.part, key.name), Counter())
+    short = [text for text in found if len(text) <= LONGEST]
+    return min(short, key=lambda text: (-found[text], len(text), text), default="")
+
+
+@cache
+def _harvest() -> dict[tuple[str, str], Counter[str]]:
+    """Values of all keys in the shipped scenes as YAML, by part and key; subfolders count if no other scene has it."""
+    found: dict[tuple[str, str], Counter[str]] = {}
+    scenes = {name: path for name, path in example_paths().items() if not name.startswith(NO_SCENES)}
+    for depth in (0, 1):
+        known = set(found)
+        for path in (path for name, path in scenes.items() if name.count("/") == depth):
+            for part, name, value in _values(ROOT, YAML(typ="safe").load(path)):
+                if (part, name) not in known:
+                    found.setdefault((part, name), Counter())[as_yaml(value)] += 1
+    return found
+
+
+def _values(part: str, mapping: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Part, key and value of every key in a mapping, nested ones included."""
+    for name, schema in parts()[part].get("properties", {}).items():
+        if name in mapping:
+            yield part, name, mapping[name]
+            yield from _inside(schema, mapping[name])
+
+
+def _inside(schema: dict[str, Any], value: Any) -> Iterator[tuple[str, str, Any]]:
+    """Values of the parts that a value contains."""
+    for each in alternatives(schema):
+        part = referenced(each)
+        if part and isinstance(value, dict) and _fits(part, value):
+            yield from _values(part, value)
+            return
+        if isinstance(value, dict):
+            for inner in each.get("patternProperties", {}).values():
+                for item in value.values():
+                    yield from _inside(inner, item)
+        elif isinstance(value, list) and isinstance(each.get("items"), dict):
+            for item in value:
+                yield from _inside(each["items"], item)
+
+
+def _fits(part: str, value: dict[str, Any]) -> bool:
+    """Whether a mapping is a value of a part: its keys are known, and a key such as `kind` fits."""
+    known = parts()[part].get("properties", {})
+    return set(value) <= set(known) and all(known[key].get("const", each) == each for key, each in value.items())
+
+
+def _typical(schema: dict[str, Any], key: str = "") -> str:
+    """A value of the type of a schema; `key` selects the example of text."""
+    if default := schema.get("default"):
+        return as_yaml(default)
+    options = list(alternatives(schema))
+    first = options[0]
+    for each in options:
+        if dimension := dimension_of(each):
+            return dimension.example
+    if part := referenced(first):
+        return _mapping(part)
+    if "const" in first or "enum" in first:
+        return str(first.get("const") or first["enum"][0])
+    if "prefixItems" in first:
+        return VECTORS.get(key) or f"[{', '.join(_typical(each) for each in first['prefixItems'])}]"
+    if "items" in first:
+        return f"[{_typical(first['items'], key)}]"
+    if "patternProperties" in first:
+        return f"{{first: {_typical(next(iter(first['patternProperties'].values())))}}}"
+    return {"boolean": "true", "integer": "100", "number": "0.5", "string": TEXTS.get(key, "glass")}[first["type"]]
+
+
+def _mapping(part: str) -> str:
+    """A mapping with the required keys of a part."""
+    schema = parts()[part]
+    required = [name for name in schema["properties"] if name in schema.get("required", ())]
+    return "{" + ", ".join(f"{name}: {_typical(schema['properties'][name], name)}" for name in required) + "}"
+
+
+# Finds keys and parts of a scene by a path such as walls.belt.motion.velocity or run.time_step.
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in a scene: path with NAME and [], the key that leads there, and the parts that its value can be."""
+
+    path: str
+    key: Key | None
+    parts: tuple[str, ...]
+
+
+def places_of(path: str) -> list[Place]:
+    """Places to which a path leads: from the first level, otherwise those of all keys with its name.
+
+    Names of walls and indices of lists are arbitrary and can be omitted; a variant restricts a block: walls.rectangle.
+    Empty if there is no such key.
+    """
+    words = [word for word in path.replace("[]", "").split(".") if word]
+    found = list(_walk(Place("", None, (ROOT,)), words))
+    if not found and len(words) == 1:
+        found = [
+            _at(Place(places()[key.part][0], None, (key.part,)), key) for key in all_keys() if key.name == words[0]
+        ]
+    return _merged(found)
+
+
+def suggestion(path: str) -> str:
+    """The key nearest to the last word of a path that is not found; empty without one."""
+    return nearest(path.rpartition(".")[2], dict.fromkeys(key.name for key in all_keys())) or ""
+
+
+def _walk(place: Place, words: Sequence[str]) -> Iterator[Place]:
+    """Places below `place` that the words lead to."""
+    if not words:
+        yield place
+        return
+    first, rest = words[0], words[1:]
+    steps = [_at(replace(place, parts=(part,)), key) for part in place.parts for key in keys(part) if key.name == first]
+    chosen = tuple(part for part in place.parts if len(place.parts) > 1 and variant(part).partition(": ")[2] == first)
+    if chosen:
+        steps.append(replace(place, key=None, parts=chosen))
+    if not steps and place.key is not None and (first.isdigit() or _has_names(place.key.schema)):
+        steps.append(replace(place, key=replace(place.key, schema={})))
+    for step in _merged(steps):
+        yield from _walk(step, rest)
+
+
+def _at(place: Place, key: Key) -> Place:
+    """The place of a key of the first part of `place`."""
+    inner = tuple(dict.fromkeys(part for part in _parts_of(key.schema)))
+    return Place(f"{place.path}.{key.name}{_suffix(key.schema)}".lstrip("."), key, inner)
+
+
+def _parts_of(schema: dict[str, Any]) -> Iterator[str]:
+    """Parts that a value can be or contain."""
+    for each in alternatives(schema):
+        if part := referenced(each):
+            yield part
+        inner = [*each.get("patternProperties", {}).values(), *each.get("prefixItems", ())]
+        inner += [each["items"]] if isinstance(each.get("items"), dict) else []
+        for one in inner:
+            yield from _parts_of(one)
+
+
+def _has_names(schema: dict[str, Any]) -> bool:
+    return any("patternProperties" in each for each in alternatives(schema))
+
+
+def _suffix(schema: dict[str, Any]) -> str:
+    """What follows the key in a path: .NAME for names; empty otherwise."""
+    return ".NAME" if _has_names(schema) else ""
+
+
+def _merged(found: Sequence[Place]) -> list[Place]:
+    """Places without repetitions of a path with the same key and description."""
+    merged: dict[tuple[str, str], Place] = {}
+    for place in found:
+        description = "" if place.key is None else f"{place.key.description} {place.key.default}"
+        merged.setdefault((place.path, description), place)
+    return list(merged.values())
+
+
+# Type, unit and allowed range of the value of a key in words, from its JSON Schema.
+
+Link = Callable[[str, str], str]
+"""Function of the name of a part and a label that returns the text for the part."""
+
+
+def plain_label(part: str, label: str) -> str:
+    """The key that selects a part, or the label."""
+    return variant(part) or label
+
+
+def type_text(schema: dict[str, Any], link: Link = plain_label) -> str:
+    """Types that a key accepts, with unit; never empty.
+
+    `link`: function of the name of a part and a label that returns the text for the part.
+    """
+    found = list(dict.fromkeys(_types(schema, link)))
+    if len(found) > 1:
+        found = [each for each in found if each != "number"] if any("with unit" in each for each in found) else found
+    return " or ".join(found)
+
+
+def range_text(schema: dict[str, Any]) -> str:
+    """Allowed values: bounds of numbers, words, lengths of lists, mappings beside them; empty if there is no limit."""
+    found = list(dict.fromkeys(_ranges(schema)))
+    return "; ".join([*found, *_mappings(schema)] if found else found)
+
+
+def first_key(part: str) -> str:
+    """First required key of a part, which selects it in a union of parts without a key such as `kind`."""
+    schema = parts()[part]
+    return next(iter(schema.get("required") or schema["properties"]))
+
+
+def _types(schema: dict[str, Any], link: Link) -> Iterator[str]:
+    """Types of the alternatives; a number and its text with unit are one type."""
+    options = list(alternatives(schema))
+    is_union = sum(referenced(each) is not None for each in options) > 1
+    dimensions = [each for each in map(dimension_of, options) if each is not None]
+    for each in options:
+        if part := referenced(each):
+            yield link(part, f"mapping with {first_key(part)}" if is_union else "mapping")
+        elif "prefixItems" in each:
+            yield f"list of {len(each['prefixItems'])}: {type_text(each['prefixItems'][0], link)}"
+        elif "items" in each:
+            yield f"list of {type_text(each['items'], link)}"
+        elif "patternProperties" in each:
+            inner = next(iter(each["patternProperties"].values()))
+            yield f"names, each with {type_text(inner, link)}"
+        elif each.get("type") in ("number", "integer"):
+            yield _number(each, si_unit(dimensions[0]) if dimensions else "")
+        elif "enum" in each or "const" in each:
+            yield "word"
+        elif "pattern" not in each or each["pattern"].startswith("^["):
+            yield {"string": "text", "boolean": "true or false"}[each["type"]]
+        elif not dimensions:
+            yield "number or text with unit"
+
+
+def _number(schema: dict[str, Any], unit: str) -> str:
+    """Type of a number with the SI unit."""
+    if schema["type"] == "integer":
+        return "whole number"
+    return f"number [{unit}]" if unit else "number"
+
+
+def _ranges(schema: dict[str, Any]) -> Iterator[str]:
+    for each in alternatives(schema):
+        yield from _bounds(each)
+        if words := each.get("enum") or ([each["const"]] if "const" in each else []):
+            yield ", ".join(f"`{word}`" for word in words)
+        if "minItems" in each and "prefixItems" not in each:
+            yield f"at least {each['minItems']} item"
+        for inner in [*each.get("prefixItems", ())[:1], *([each["items"]] if "items" in each else [])]:
+            yield from _ranges(inner)
+
+
+def _mappings(schema: dict[str, Any]) -> Iterator[str]:
+    """Mappings that a key accepts, by the key that selects them: `law`: `linear`, `luding`."""
+    selected: dict[str, list[str]] = {}
+    for each in alternatives(schema):
+        if part := referenced(each):
+            key, _, word = (variant(part) or first_key(part)).partition(": ")
+            selected.setdefault(key, []).extend([f"`{word}`"] if word else [])
+    for key, words in selected.items():
+        yield f"mapping with `{key}`" + (f": {', '.join(words)}" if words else "")
+
+
+def _bounds(schema: dict[str, Any]) -> Iterator[str]:
+    """Bounds of a number."""
+    low, above, high = (schema.get(key) for key in ("minimum", "exclusiveMinimum", "maximum"))
+    words = [("at least", low), ("above", above), ("at most", high)]
+    text = " and ".join(f"{word} {bound:g}" for word, bound in words if bound is not None)
+    if text:
+        yield text
+
+
+# Text of the reference of scene keys for a terminal: one key, or the keys of a block.
+
+WIDTH = 100
+"""Characters of a line."""
+MOST_VARIANTS = 1
+"""Number of variants of a block whose keys are listed; more are listed by name only."""
+
+
+def reference_of(path: str) -> str:
+    """Type, unit, default, range, example and meaning of a key, and the keys of the block to which a path leads.
+
+    Raises KeyError with a sentence if there is no such key.
+    """
+    found = [Place("", None, (ROOT,))] if not path else places_of(path)
+    if not found:
+        hint = suggestion(path)
+        remedy = f"Did you mean {hint}?" if hint else "List the blocks with granflow schema scene."
+        raise KeyError(f"{path} is not a key of a scene. {remedy}")
+    return "\n\n".join("\n".join(_lines(place)) for place in found)
+
+
+def _lines(place: Place) -> Iterator[str]:
+    """Lines of a key with its facts, or of a block with its keys."""
+    if place.key is not None and place.key.schema:
+        yield from _key_lines(place.key, place.path)
+    elif len(place.parts) != MOST_VARIANTS or not variant(place.parts[0]):
+        yield place.path or ROOT
+    if len(place.parts) > MOST_VARIANTS:
+        yield from ("", f"Add one of these to the path to list its keys, such as {place.path}.{_name(place.parts[0])}:")
+        yield from _columns([(_name(part), _first_sentence(part)) for part in place.parts])
+    for part in place.parts if len(place.parts) <= MOST_VARIANTS else ():
+        yield from _part_lines(place, part)
+
+
+def _key_lines(key: Key, path: str) -> Iterator[str]:
+    yield path
+    facts = {
+        "meaning": key.description,
+        "value": _plain(type_text(key.schema)),
+        "allowed": _plain(range_text(key.schema)),
+        "default": "none: the key is required" if key.is_required else key.default,
+        "example": example_of(key),
+    }
+    yield from _columns([(name, text) for name, text in facts.items() if text])
+
+
+def _part_lines(place: Place, part: str) -> Iterator[str]:
+    """Description of a block, and one line for each of its keys."""
+    if variant(part):
+        yield f"{place.path} with {variant(part)}".strip()
+    description = "" if part == ROOT else str(parts()[part].get("description", ""))
+    yield from ("", *(f"  {line}".rstrip() for line in description.splitlines()), *([""] if description else []))
+    rows = []
+    for key in keys(part):
+        default = "; required" if key.is_required else f"; default: {key.default}"
+        default = "" if "default:" in key.description else default
+        rows.append((key.name, f"{_plain(type_text(key.schema))}{default}. {key.description}"))
+    yield from _columns(rows)
+
+
+def _name(part: str) -> str:
+    """Word that selects a variant of a block: the value of its `kind`, or its first key."""
+    return variant(part).partition(": ")[2] or first_key(part)
+
+
+def _first_sentence(part: str) -> str:
+    return str(parts()[part].get("description", "")).partition("\n")[0]
+
+
+def _plain(text: str) -> str:
+    """Text without the marks of Markdown."""
+    return text.replace("`", "")
+
+
+def _columns(rows: list[tuple[str, str]]) -> Iterator[str]:
+    """Names and wrapped texts in two columns."""
+    width = max((len(name) for name, _ in rows), default=0) + 4
+    for name, text in rows:
+        wrapped = textwrap.wrap(text, max(WIDTH - width, 30), break_on_hyphens=False) or [""]
+        yield f"  {name:{width - 2}}{wrapped[0]}"
+        yield from (" " * width + line for line in wrapped[1:])

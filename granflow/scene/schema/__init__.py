@@ -1,1 +1,0 @@
-"""Schema of scene files, one module per block."""

@@ -1,1 +1,0 @@
-"""Cost of features: step time of a scene, and of its variants with one feature switched on or off."""

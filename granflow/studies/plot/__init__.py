@@ -1,1 +1,0 @@
-"""`granflow plot`: columns of time series against time or against each other."""

@@ -1,0 +1,516 @@
+"""Units: conversion of text such as "4 mm" or "0.31 GPa" to SI numbers with a single rounding."""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from numbers import Real
+from typing import Annotated, Any
+
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from granflow.arguments import shown
+from granflow.errors import GranflowError
+
+KeyPath = tuple[str | int, ...]
+"""Keys and list indices from the root of a scene, such as ("stages", 0, "duration")."""
+
+
+# Faults: invalid values and combinations of values in a scene, each with its key path and a reason.
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An invalid value at `path`; the message is "X is Y, but {reason}".
+
+    With `whole`, the message is "X {reason}". `messages.problem_at` adds the position and the period. The path of a
+    fault from `Model.faults` is relative to the model.
+    """
+
+    path: KeyPath
+    reason: str
+    whole: bool = False
+
+
+def whole(path: KeyPath, reason: str) -> Fault:
+    """The fault with the message "X {reason}"."""
+    return Fault(path, reason, whole=True)
+
+
+def redundant(key: str, other: str, keep: str = "one of them") -> Fault:
+    """The fault of a key that excludes another key."""
+    return Fault((key,), f"{other} is given too: keep {keep}")
+
+
+def missing(path: KeyPath, description: str) -> Fault:
+    """The fault of a missing key; `description` states its meaning or the reason why it is required."""
+    return whole(path, f"is missing: {description}")
+
+
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_AMOUNT = re.compile(rf"\s*({_NUMBER}|[-+]?(?:\.?inf|\.?nan))\s*(.*?)\s*", re.IGNORECASE | re.DOTALL)
+_COMMA = re.compile(r"^\s*[-+]?[0-9]+,[0-9]+(\D|$)")
+_HEADING = re.compile(r"\s*(.*?)\s*([\[(])([^\])]*)[\])]\s*", re.DOTALL)
+_PI = Fraction(math.pi)
+_STANDARD_GRAVITY = "9.80665"
+_LONGEST_EXACT = 100  # characters; longer numbers are rounded before the unit is applied
+_LARGEST = Fraction(10) ** 300
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A physical dimension: noun and example for messages, and its units as multiples of the SI unit.
+
+    The factors are exact fractions; the one of the SI unit is 1.
+    """
+
+    noun: str
+    example: str
+    units: Mapping[str, Fraction]
+
+
+def _unit_table(text: str) -> dict[str, Fraction]:
+    """Exact factors from "m 1, mm 1e-3, ..."; the SI unit is first."""
+    pairs = (entry.split() for entry in text.split(","))
+    return {name: Fraction(factor) for name, factor in pairs}
+
+
+DIMENSIONS: dict[str, Dimension] = {
+    "number": Dimension("a number", "0.5", _unit_table("% 1/100")),
+    "length": Dimension("a length", "4 mm", _unit_table("m 1, km 1e3, cm 1e-2, mm 1e-3, um 1e-6, µm 1e-6, nm 1e-9")),
+    "time": Dimension("a time", "10 ms", _unit_table("s 1, ms 1e-3, us 1e-6, µs 1e-6, ns 1e-9, min 60, h 3600")),
+    "velocity": Dimension(
+        "a velocity", "3 m/s", _unit_table("m/s 1, cm/s 1e-2, mm/s 1e-3, km/h 1000/3600, m/min 1/60")
+    ),
+    "acceleration": Dimension(
+        "an acceleration", "9.81 m/s2", _unit_table(f"m/s2 1, m/s^2 1, m/s² 1, mm/s2 1e-3, g {_STANDARD_GRAVITY}")
+    ),
+    "angle": Dimension("an angle", "30 deg", {"rad": Fraction(1), "deg": _PI / 180, "°": _PI / 180, "turn": 2 * _PI}),
+    "frequency": Dimension("a frequency", "25 Hz", _unit_table("Hz 1, kHz 1e3, 1/s 1, 1/min 1/60")),
+    "angular_velocity": Dimension(
+        "an angular velocity",
+        "30 rpm",
+        {"rad/s": Fraction(1), "deg/s": _PI / 180, "°/s": _PI / 180, "rpm": 2 * _PI / 60, "1/s": Fraction(1)},
+    ),
+    "pressure": Dimension(
+        "a pressure", "1 GPa", _unit_table("Pa 1, kPa 1e3, MPa 1e6, GPa 1e9, N/m2 1, N/mm2 1e6, bar 1e5")
+    ),
+    "density": Dimension(
+        "a density", "2500 kg/m3", _unit_table("kg/m3 1, kg/m^3 1, kg/m³ 1, g/cm3 1e3, g/cm^3 1e3, g/cm³ 1e3, t/m3 1e3")
+    ),
+    "energy": Dimension(
+        "an energy",
+        "1 nJ",
+        _unit_table("J 1, kJ 1e3, mJ 1e-3, uJ 1e-6, µJ 1e-6, nJ 1e-9, pJ 1e-12, aJ 1e-18, zJ 1e-21"),
+    ),
+    "energy_density": Dimension(
+        "an energy density", "1e4 J/m3", _unit_table("J/m3 1, J/m^3 1, J/m³ 1, mJ/m3 1e-3, kJ/m3 1e3, MJ/m3 1e6")
+    ),
+    "surface_energy": Dimension(
+        "a surface energy", "50 mJ/m2", _unit_table("J/m2 1, J/m^2 1, J/m² 1, mJ/m2 1e-3, uJ/m2 1e-6, N/m 1, mN/m 1e-3")
+    ),
+    "volume": Dimension(
+        "a volume",
+        "10 nl",
+        _unit_table("m3 1, m^3 1, m³ 1, cm3 1e-6, mm3 1e-9, l 1e-3, ml 1e-6, ul 1e-9, nl 1e-12, pl 1e-15"),
+    ),
+    "stiffness": Dimension("a stiffness", "1e4 N/m", _unit_table("N/m 1, kN/m 1e3, N/mm 1e3, N/cm 100")),
+    "torsion_stiffness": Dimension(
+        "a twisting stiffness", "1 mNm/rad", _unit_table("Nm/rad 1, mNm/rad 1e-3, uNm/rad 1e-6, N*m/rad 1")
+    ),
+    "torsion_damping": Dimension("a twisting dashpot", "1 uNms", _unit_table("Nms 1, mNms 1e-3, uNms 1e-6, N*m*s 1")),
+    "granular_temperature": Dimension(
+        "a granular temperature", "1e-4 m2/s2", _unit_table("m2/s2 1, m^2/s^2 1, J/kg 1, cm2/s2 1e-4, mm2/s2 1e-6")
+    ),
+    "rate": Dimension("a rate", "800 1/s", _unit_table("1/s 1, /s 1, 1/min 1/60, 1/h 1/3600")),
+    "mass": Dimension("a mass", "2 g", _unit_table("kg 1, g 1e-3, mg 1e-6, t 1e3")),
+    "mass_flow": Dimension(
+        "a mass flow rate", "2 t/h", _unit_table("kg/s 1, g/s 1e-3, kg/min 1/60, kg/h 1/3600, t/h 1000/3600")
+    ),
+    "damping": Dimension("a damping constant", "5 kg/s", _unit_table("kg/s 1, g/s 1e-3, Ns/m 1")),
+    "force": Dimension("a force", "1 N", _unit_table("N 1, kN 1e3, mN 1e-3")),
+}
+"""Dimensions by name; the first unit of each is the SI unit."""
+_ANY = Dimension("a number or text with a unit", "2 t/h", {})
+
+
+class UnitError(ValueError):
+    """Text that is not a quantity of the expected dimension; the message follows "X is Y, but "."""
+
+
+def dimension_of(name: str) -> Dimension:
+    """The dimension with the given name; "any" accepts all units. Raises KeyError for an unknown name."""
+    return _ANY if name == "any" else DIMENSIONS[name]
+
+
+def to_si(text: str, dimension: str) -> float:
+    """Convert text such as "4 mm" to an SI number of the given dimension; text without a unit is SI.
+
+    The product of number and factor is rounded once, so "4 mm" is the same float as 0.004. The result may be infinite
+    or NaN (".inf", ".nan", or a magnitude above 1e300).
+
+    Raises UnitError if the text is not a number, or the unit is unknown or of another dimension.
+    """
+    exact = exact_si(text, dimension)
+    if isinstance(exact, float):
+        return exact
+    return float(exact) if abs(exact) < _LARGEST else math.inf if exact > 0 else -math.inf
+
+
+def exact_si(text: str, dimension: str) -> Fraction | float:
+    """The number of `to_si` without rounding; a float if it is zero, infinite or NaN. Raises UnitError."""
+    expected = dimension_of(dimension)
+    if _COMMA.search(text):
+        raise UnitError(f"a decimal point is expected, not a comma: {text.replace(',', '.')}")
+    match = _AMOUNT.fullmatch(text)
+    if match is None:
+        raise UnitError(f"{expected.noun} is expected, such as {expected.example}")
+    number, unit = match.groups()
+    plain = float(number.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    factor = _factor(unit, dimension)
+    if plain == 0 or not math.isfinite(plain):
+        return plain
+    return (Fraction(number) if len(number) < _LONGEST_EXACT else Fraction(plain)) * factor
+
+
+def unit_in(text: str) -> str:
+    """Return the unit in a text such as "4 mm"; empty without one."""
+    match = _AMOUNT.fullmatch(text)
+    return (match.group(2) or "").strip() if match else ""
+
+
+def split_heading(heading: str) -> tuple[str, str]:
+    """Name and unit of a column of a table: "time [ms]" is ("time", "ms"); the unit is empty without one.
+
+    What is in square brackets is a unit, what is in round ones only if it is a known unit.
+    """
+    match = _HEADING.fullmatch(heading)
+    if match is None or (match[2] == "(" and not dimensions_with(match[3].strip())):
+        return heading.strip(), ""
+    return match[1], match[3].strip()
+
+
+def with_unit(cell: str, unit: str) -> str:
+    """A cell of a table as text with a unit: its own, otherwise that of its column, which may be empty."""
+    return f"{cell} {unit}" if cell and unit and not unit_in(cell) else cell
+
+
+def column_factor(unit: str, si_unit: str) -> float:
+    """Factor of a column with a unit to the SI unit of its quantity ("" for a number); 1 without a unit.
+
+    Raises UnitError for a unit that is unknown or of another dimension.
+    """
+    if unit in ("", si_unit):
+        return 1.0
+    known = [each for each in DIMENSIONS.values() if next(iter(each.units)) == si_unit]
+    if not si_unit:
+        known = [DIMENSIONS["number"]]
+    for each in known:
+        if unit in each.units:
+            return float(each.units[unit])
+    if not si_unit:
+        raise UnitError(f"{unit} is no unit of a number; the only one is %")
+    names = dict.fromkeys(name for each in known for name in each.units if name.isascii())
+    raise UnitError(f"{unit} is no unit of it; give {', '.join(names) or si_unit}")
+
+
+def dimensions_with(unit: str) -> dict[str, Dimension]:
+    """The dimensions that have a unit, by name; none for an unknown unit."""
+    return {name: each for name, each in DIMENSIONS.items() if unit in each.units}
+
+
+def si_unit_of(unit: str) -> str:
+    """The SI unit that all dimensions of a unit have in common, "rad" for "deg"; empty for "%" and without a unit."""
+    units = [[name for name, factor in each.units.items() if factor == 1] for each in dimensions_with(unit).values()]
+    common = [name for name in (units[0] if units else ()) if all(name in each for each in units)]
+    return unit if unit in common else next(iter(common), "")
+
+
+def seconds_of(name: str, time: float | str) -> float:
+    """The argument `name` of a function in s, a number [s] or text with a unit ("1 ms"). Raises GranflowError."""
+    try:
+        if isinstance(time, str):
+            return to_si(time, "time")
+        if isinstance(time, bool) or not isinstance(time, Real):
+            raise GranflowError(f'{name} is {shown(time)}, but must be a number [s] or text with a unit ("1 ms").')
+        return float(time)
+    except UnitError as error:
+        raise GranflowError(f"{name} is {time}, but {error}.") from None
+
+
+def _factor(unit: str, dimension: str) -> Fraction:
+    """Exact factor of a unit to SI; 1 without a unit. Raises UnitError."""
+    if not unit:
+        return Fraction(1)
+    if dimension == "any":
+        return _any_factor(unit)
+    known = DIMENSIONS[dimension].units
+    if unit in known:
+        return known[unit]
+    raise UnitError(_wrong_unit(unit, DIMENSIONS[dimension]))
+
+
+def _any_factor(unit: str) -> Fraction:
+    """Exact factor of a unit of any dimension. Raises UnitError if it is unknown, or differs between dimensions."""
+    factors = {each.units[unit] for each in dimensions_with(unit).values()}
+    if len(factors) == 1:
+        return factors.pop()
+    trouble = "is ambiguous" if factors else "is not a known unit"
+    raise UnitError(f"{unit} {trouble}; give the value in SI without a unit")
+
+
+def _wrong_unit(unit: str, expected: Dimension) -> str:
+    """Message for a unit that does not belong to the expected dimension: its meaning, or the closest known unit."""
+    matching = [each.noun for each in dimensions_with(unit).values()]
+    if not expected.units or expected is DIMENSIONS["number"]:
+        return f"{expected.noun} without a unit is expected, such as {expected.example}"
+    if matching:
+        meaning = f"{unit} is a unit of {_without_article(matching[0])}"
+        return f"{meaning} and {expected.noun} is expected, such as {expected.example}"
+    near = difflib.get_close_matches(unit, list(expected.units), n=1, cutoff=0.6)
+    known = ", ".join(name for name in expected.units if name.isascii())
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    units = f"units of {_without_article(expected.noun)} are {known}, such as {expected.example}"
+    return f"{unit} is not a known unit{hint}; {units}"
+
+
+def _without_article(noun: str) -> str:
+    return noun.partition(" ")[2]
+
+
+# Numbers in a scene: plain in SI, or text with a unit, within bounds; and errors of values.
+
+LARGEST = 1e30  # limit of the magnitude of SI numbers in a scene
+SMALLEST = 1e-30  # lower limit of numbers that must be positive
+LARGEST_COUNT = 2**31 - 1  # particle numbers have 32 bits
+
+
+def value_error(reason: str, *at: str) -> PydanticCustomError:
+    """The error "key.path is VALUE, but REASON."; `at` is the path of a key within the value."""
+    return PydanticCustomError("but", "{reason}", {"reason": reason, "at": at})
+
+
+def whole_error(reason: str) -> PydanticCustomError:
+    """The error "key.path REASON."."""
+    return PydanticCustomError("whole", "{reason}", {"reason": reason})
+
+
+@dataclass(frozen=True)
+class Number:
+    """Reads one number: a plain one in SI, or text with a unit of `dimension`; rejects values out of range.
+
+    `noun`: for messages, default is that of the dimension. `above`, `at_least`, `at_most`: bounds in SI units. `words`:
+    texts that are accepted in place of a number. `whole`: the number is an int without a unit. Used as metadata of a
+    pydantic field.
+    """
+
+    dimension: str = "number"
+    noun: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    words: tuple[str, ...] = ()
+    whole: bool = False
+    scaling: int = 0
+    """Exponent of `scale` of a scene in this number."""
+
+    def read(self, value: Any) -> float | int | str:
+        """Convert a value from the file to a number within the bounds (SI), or to one of the words.
+
+        Raises PydanticCustomError for another type, an unknown unit, a value that is not finite or out of bounds.
+        """
+        if isinstance(value, str) and value in self.words:
+            return value
+        number = self._number(value)
+        if not math.isfinite(number):
+            raise value_error("a finite number is expected")
+        if not self._inside(number):
+            raise value_error(f"{self._noun} {self._bounds()}")
+        if abs(number) > LARGEST or (number != 0 and self.above == 0 and number < SMALLEST):
+            raise value_error(f"{self._noun} of this magnitude is out of range")
+        return self._count(number) if self.whole else number
+
+    def _number(self, value: Any) -> float:
+        """The SI value of a number or text; infinite for an integer beyond the range of float.
+
+        Raises PydanticCustomError.
+        """
+        if isinstance(value, str) and not self.whole:
+            try:
+                return to_si(value, self.dimension)
+            except UnitError as error:
+                raise value_error(f"{error}{self._word_hint()}") from None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise value_error(f"{self._noun} is expected{self._example()}{self._word_hint()}")
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf
+
+    def _count(self, number: float) -> int:
+        """The number as an int. Raises PydanticCustomError if it has a fraction or exceeds 32 bits."""
+        if number != int(number):
+            raise value_error(f"{self._noun} must be a whole number")
+        if number > LARGEST_COUNT:
+            raise value_error(f"{self._noun} must be at most {LARGEST_COUNT}")
+        return int(number)
+
+    def _inside(self, number: float) -> bool:
+        """Whether a number satisfies the bounds; False for NaN if there are any."""
+        return (
+            (self.above is None or number > self.above)
+            and (self.at_least is None or number >= self.at_least)
+            and (self.at_most is None or number <= self.at_most)
+        )
+
+    @property
+    def _noun(self) -> str:
+        return self.noun or dimension_of(self.dimension).noun
+
+    def _example(self) -> str:
+        """An example value; for whole numbers not that of the dimension."""
+        if self.whole:
+            return ", a whole number such as 10"
+        return f", such as {dimension_of(self.dimension).example}"
+
+    def _word_hint(self) -> str:
+        return f", or {' or '.join(self.words)}" if self.words else ""
+
+    def _bounds(self) -> str:
+        """Text of the bounds for a message."""
+        if self.at_least is not None and self.at_most is not None:
+            return f"must be in [{self.at_least:g}, {self.at_most:g}]"
+        parts = [
+            f"{word} {bound:g}"
+            for word, bound in (("above", self.above), ("at least", self.at_least), ("at most", self.at_most))
+            if bound is not None
+        ]
+        return f"must be {' and '.join(parts)}"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validation by `read`; serialization without change."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        """JSON Schema of the valid input: a number within the bounds, text with a unit, or a word.
+
+        Text must match a pattern of a number and one of the units of the dimension.
+        """
+        number: dict[str, Any] = {"type": "integer" if self.whole else "number"}
+        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
+        number.update({key: bound for key, bound in bounds.items() if bound is not None})
+        choices: list[dict[str, Any]] = [number]
+        units = dimension_of(self.dimension).units
+        if not self.whole:
+            unit = "|".join(re.escape(name) for name in units) if units else ".*"
+            choices.append({"type": "string", "pattern": rf"^\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*({unit})?\s*$"})
+        if self.words:
+            choices.append({"enum": list(self.words)})
+        return {"anyOf": choices} if len(choices) > 1 else number
+
+
+# Numbers of any dimension that keep the unit in which they are given, such as the bounds of a varied key.
+
+
+class GivenNumber(float):
+    """An SI number; `text`: as given; `unit`: that of the text, "" for a plain number; `exact`: before it is rounded.
+
+    The exact number is that of the decimals: 1/10 for 0.1, and for "10 deg" 10 pi / 180 with pi in double precision.
+    """
+
+    text: str
+    unit: str
+    exact: Fraction
+
+    def __new__(cls, given: float | str) -> "GivenNumber":
+        """The number of a text with or without a unit, or of a plain number. Raises UnitError."""
+        text = given if isinstance(given, str) else repr(float(given))
+        number = super().__new__(cls, to_si(text, "any"))
+        number.text = given.strip() if isinstance(given, str) else f"{given:g}"
+        number.unit = unit_in(text)
+        number.exact = Fraction(exact_si(text, "any"))
+        return number
+
+
+class NumberWithUnit(Number):
+    """Reads a number of any dimension that keeps its unit."""
+
+    def read(self, value: Any) -> GivenNumber:
+        """Convert a value from the file. Raises PydanticCustomError as `Number.read`."""
+        if isinstance(value, GivenNumber):
+            return value
+        number = super().read(value)
+        return GivenNumber(value if isinstance(value, str) else number)
+
+
+GivenQuantity = Annotated[GivenNumber, NumberWithUnit("any")]
+
+
+def number_of(value: Any) -> GivenNumber | None:
+    """The number of a value from a file, a plain number or text with a unit; None for other values."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    if isinstance(value, GivenNumber):
+        return value
+    try:
+        return GivenNumber(value)
+    except (UnitError, OverflowError, ValueError):
+        return None
+
+
+def common_unit(values: Iterable[Any]) -> str:
+    """The unit of all values that have one, if it is the same; otherwise empty."""
+    units = {number.unit for value in values if (number := number_of(value)) is not None} - {""}
+    return units.pop() if len(units) == 1 else ""
+
+
+def mixed_units(values: Iterable[Any]) -> str:
+    """Why values are not of one dimension: units of different ones, or a unit with plain numbers other than 0; or "".
+
+    Values that are no numbers are ignored.
+    """
+    numbers = [number for value in values if (number := number_of(value)) is not None]
+    with_unit = [each for each in numbers if each.unit]
+    if not with_unit:
+        return ""
+    first = with_unit[0].unit
+    for each in with_unit:
+        if not dimensions_with(first).keys() & dimensions_with(each.unit).keys():
+            return f"{first} and {each.unit} are units of different dimensions"
+    plain = next((each for each in numbers if not each.unit and each != 0.0), None)
+    return "" if plain is None else f"{plain.text} has no unit; give all values in {first}, or all in SI units"
+
+
+def unit_conflict(given: str, expected: str) -> str:
+    """Why a value with the unit `given` is not one in `expected`, as "in rad, and mm is no unit of an angle"; or "".
+
+    Without a known unit on both sides, there is no conflict.
+    """
+    dimensions = dimensions_with(expected)
+    if not dimensions or not given or dimensions.keys() & dimensions_with(given).keys():
+        return ""
+    return f"in {expected}, and {given} is no unit of {next(iter(dimensions.values())).noun}"
+
+
+def in_unit(value: float, unit: str) -> float:
+    """An SI number in a unit; unchanged without one."""
+    return value / to_si(f"1 {unit}", "any") if unit else value
+
+
+def in_si(value: float, unit: str) -> float | str:
+    """An SI number as a value of a scene: text with the SI unit of the dimension of `unit`, so that it is checked."""
+    si_unit = si_unit_of(unit)
+    return f"{float(value)!r} {si_unit}" if si_unit else float(value)
+
+
+def bound_faults(start: GivenNumber, stop: GivenNumber, scale: str) -> Iterator[Fault]:
+    """Faults of the bounds `from` and `to`: not ascending, of different units, or not positive on the scale "log"."""
+    if reason := mixed_units((start, stop)):
+        yield Fault(("to",), reason)
+    elif not start < stop:
+        yield Fault(("to",), f"it must be larger than from, {start.text}")
+    if scale == "log" and start <= 0.0:
+        yield Fault(("from",), "it must be above 0 on a logarithmic scale, such as 1e-3")
